@@ -1,0 +1,153 @@
+"""Command line: ``python -m soar STAGE`` runs one stage by hand, ``python -m soar models`` looks after the weights.
+
+The DAG calls the same entry with the files and the configuration already worked out (``--files``, ``--cfg``), so that
+a stage run by hand and one run by Snakemake are the same code on the same inputs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import importlib
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from soar import workflow
+from soar.errors import ConfigError, SoarError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        options.run(options)
+    except SoarError as error:
+        print(f"soar: {type(error).__name__}: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("soar: interrupted; nothing half-written is left, the next run continues", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="soar", description="Complete, animatable avatars from a video.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    models = commands.add_parser("models", help="list the model files: what is there, what is missing, licence, source")
+    models.add_argument("action", nargs="?", choices=["list", "fetch"], default="list")
+    models.add_argument(
+        "--with", dest="extra", nargs="*", default=[], metavar="NAME", help="optional models to fetch too"
+    )
+    models.add_argument("--offline", action="store_true", help="use only what is on disk")
+    models.set_defaults(run=_models)
+    for name in (*workflow.SETUP, *workflow.STAGES, "report"):
+        if name == "models":
+            continue
+        stage = commands.add_parser(name, help=f"run the stage {name}")
+        stage.add_argument("overrides", nargs="*", help="Hydra overrides, e.g. dataset=video dataset.path=my.mp4")
+        stage.add_argument("--sequence", help="sequence to run; the only one if there is one")
+        stage.add_argument("--variant", default="full", help="variant to run (default: full)")
+        stage.add_argument("--camera", help="camera, for stages that run per camera")
+        stage.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)), help="threads to use")
+        stage.add_argument("--files", type=json.loads, help=argparse.SUPPRESS)
+        stage.add_argument("--cfg", type=json.loads, help=argparse.SUPPRESS)
+        stage.set_defaults(run=_stage, stage=name)
+    return parser
+
+
+def _models(options: argparse.Namespace) -> None:
+    from soar.models.describe import describe, table
+    from soar.stages.models import fetch
+
+    folder = Path(workflow.MODELS)
+    if options.action == "fetch":
+        fetch(folder, workflow.Workflow().config("full")["models"], options.extra, options.offline)
+    print(table(describe(folder)))
+
+
+def _stage(options: argparse.Namespace) -> None:
+    _allot(options.threads)
+    if options.files is None:
+        _by_hand(options)
+    execute(
+        options.stage,
+        {name: Path(path) for name, path in options.files["inputs"].items()},
+        {name: Path(path) for name, path in options.files["outputs"].items()},
+        options.cfg,
+        sequence=options.sequence or "",
+        camera=options.camera,
+        threads=options.threads,
+    )
+
+
+def _by_hand(options: argparse.Namespace) -> None:
+    """Fill in sequence, files and configuration as the DAG would."""
+    flow = workflow.Workflow({"overrides": options.overrides})
+    if options.stage in ("fetch", "report"):
+        options.cfg, options.files = flow.dataset_job(options.stage)
+        return
+    if options.sequence is None:
+        if len(flow.sequences) != 1:
+            raise ConfigError("which sequence?", expected=", ".join(flow.sequences), cure="add --sequence NAME")
+        options.sequence = flow.sequences[0]
+    stage = workflow.STAGES[options.stage]
+    if stage.per_camera and options.camera not in flow.cameras(options.sequence):
+        raise ConfigError("which camera?", expected=", ".join(flow.cameras(options.sequence)), cure="add --camera NAME")
+    options.cfg = flow.slice(options.stage, options.variant)
+    folder = flow.folder(options.stage, options.sequence, options.variant)
+    options.files = {
+        "inputs": workflow.folders(flow.inputs(options.stage, options.sequence, options.variant, options.camera)),
+        "outputs": workflow.output_paths(stage, folder, options.camera),
+    }
+
+
+def execute(
+    stage: str,
+    inputs: Mapping[str, Path],
+    outputs: Mapping[str, Path],
+    cfg: Mapping[str, Any],
+    *,
+    sequence: str,
+    camera: str | None,
+    threads: int,
+) -> None:
+    """Run one stage and leave its provenance record.
+
+    Raises:
+        SoarError: whatever the stage found wrong; no output is left half-written.
+    """
+    from soar.provenance import record
+    from soar.stages import Job
+
+    started = time.perf_counter()
+    provenance = outputs["provenance"]
+    scratch = provenance.with_name(f".{provenance.stem}.scratch")
+    cfg = dict(cfg)
+    job = Job(sequence, camera, cfg.pop("seed"), threads, scratch)
+    work = {name: path for name, path in outputs.items() if name != "provenance"}
+    importlib.import_module(f"soar.stages.{stage}").run(inputs, work, cfg, job)
+    record(provenance, stage, job, inputs, work, cfg, time.perf_counter() - started)
+    shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _allot(threads: int) -> None:
+    """Bound the thread pools of every library not yet imported, and keep freed memory mapped.
+
+    The optimisation loops free and allocate buffers of tens of megabytes every step; glibc would return each to the
+    system and fault it in again page by page, which costs a third of the time of such a loop.
+    """
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[name] = str(threads)
+    try:
+        libc = ctypes.CDLL("libc.so.6")
+        mmap_threshold, trim_threshold = -3, -1
+        libc.mallopt(mmap_threshold, 1 << 30)
+        libc.mallopt(trim_threshold, 1 << 30)
+    except (OSError, AttributeError):
+        return  # another C library: only slower

@@ -1,0 +1,1 @@
+"""Rotations, cameras and meshes: the mathematics that every floor above shares."""

@@ -1,0 +1,57 @@
+# The avatar: a baseline without optimisation, the reconstruction, what was never seen.
+
+
+rule paint:
+    input:
+        **reads("paint"),
+    output:
+        **writes("paint"),
+    log:
+        job_file("paint", ".log"),
+    benchmark:
+        job_file("paint", ".tsv")
+    resources:
+        mem_mb=2000,
+        runtime=20,
+    params:
+        **params("paint"),
+    shell:
+        RUN
+
+
+rule reconstruct:
+    input:
+        **reads("reconstruct"),
+    output:
+        **writes("reconstruct"),
+    log:
+        job_file("reconstruct", ".log"),
+    benchmark:
+        job_file("reconstruct", ".tsv")
+    threads: 2
+    resources:
+        mem_mb=6000,
+        runtime=240,
+    params:
+        **params("reconstruct"),
+    shell:
+        RUN
+
+
+rule occlusion:
+    input:
+        **reads("occlusion"),
+    output:
+        **writes("occlusion"),
+    log:
+        job_file("occlusion", ".log"),
+    benchmark:
+        job_file("occlusion", ".tsv")
+    threads: 2
+    resources:
+        mem_mb=2000,
+        runtime=30,
+    params:
+        **params("occlusion"),
+    shell:
+        RUN

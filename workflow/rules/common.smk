@@ -1,0 +1,88 @@
+# Helpers of the rules: everything is asked of soar.workflow.
+
+import json
+
+from soar.errors import SoarError
+from soar.workflow import (
+    MODELS,
+    STAGES,
+    Workflow,
+    benchmark_path,
+    canonical,
+    fingerprint,
+    folders,
+    output_paths,
+)
+
+try:
+    FLOW = Workflow(config)
+except SoarError as error:
+    raise WorkflowError(str(error))
+
+
+wildcard_constraints:
+    sequence="[A-Za-z0-9_.-]+",
+    variant="[A-Za-z0-9_]+",
+    camera="[A-Za-z0-9_-]+",
+
+
+PYTHON = sys.executable
+
+# The same command for every stage: quoted JSON carries configuration and files.
+RUN = (
+    "{PYTHON:q} -m soar {rule} --sequence {wildcards.sequence:q} --threads {threads}"
+    " --cfg {params.cfg:q} --files {params.files:q} > {log:q} 2>&1"
+)
+RUN_CAMERA = RUN.replace("--threads", "--camera {wildcards.camera:q} --threads")
+RUN_DATASET = RUN.replace("--sequence {wildcards.sequence:q} ", "")
+
+
+def folder(stage):
+    """Folder of a stage's artifacts, with wildcards."""
+    return f"results/{FLOW.dataset}/{{sequence}}/{{variant}}/{stage}"
+
+
+def reads(stage):
+    """Named inputs of a stage as input functions."""
+
+    def path(name):
+        return lambda w: FLOW.inputs(
+            stage, w.sequence, w.variant, getattr(w, "camera", None)
+        )[name]
+
+    return {name: path(name) for name in STAGES[stage].reads}
+
+
+def writes(stage):
+    """Named outputs of a stage."""
+    return {
+        name: f"{folder(stage)}/{file}" for name, file in STAGES[stage].files.items()
+    }
+
+
+def params(stage):
+    """Configuration and code as text, whose change re-runs the stage; files, which are no trigger of their own."""
+
+    def files(wildcards, input, output):
+        camera = getattr(wildcards, "camera", None)
+        named = {name: getattr(input, name) for name in STAGES[stage].reads}
+        place = FLOW.folder(stage, wildcards.sequence, wildcards.variant)
+        return canonical(
+            {
+                "inputs": folders(named),
+                "outputs": output_paths(STAGES[stage], place, camera),
+            }
+        )
+
+    return {
+        "cfg": lambda w: canonical(FLOW.slice(stage, w.variant)),
+        "code": fingerprint(stage),
+        "files": files,
+    }
+
+
+def job_file(stage, suffix):
+    """Log or benchmark of a job, out of the way of the artifacts."""
+    camera = "{camera}" if STAGES[stage].per_camera else None
+    path = benchmark_path(FLOW.dataset, "{sequence}", "{variant}", stage, camera)
+    return path.removesuffix(".tsv") + suffix

@@ -1,0 +1,49 @@
+# What fills data/: model files and, where a dataset may be downloaded, its footage.
+
+
+rule models:
+    output:
+        manifest=f"{MODELS}/manifest.json",
+        anny=f"{MODELS}/body/anny.npz",
+    log:
+        f"{MODELS}/models.log",
+    threads: 2
+    resources:
+        mem_mb=4000,
+        runtime=15,
+    params:
+        cfg=canonical({"seed": 0, "models": FLOW.config("full")["models"]}),
+        code=fingerprint("models"),
+        files=canonical(
+            {
+                "inputs": {},
+                "outputs": {
+                    "models": MODELS,
+                    "provenance": f"{MODELS}/provenance.json",
+                },
+            }
+        ),
+    message:
+        "Fetching, checking and converting the model files"
+    shell:
+        RUN_DATASET
+
+
+if FLOW.downloads():
+
+    rule fetch:
+        output:
+            FLOW.downloads(),
+        log:
+            f"data/datasets/{FLOW.dataset}.log",
+        resources:
+            mem_mb=500,
+            runtime=15,
+        params:
+            cfg=canonical(FLOW.dataset_job("fetch")[0]),
+            code=fingerprint("fetch"),
+            files=canonical(FLOW.dataset_job("fetch")[1]),
+        message:
+            "Fetching the dataset {FLOW.dataset}"
+        shell:
+            RUN_DATASET
