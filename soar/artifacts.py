@@ -156,7 +156,7 @@ class ImageArchive:
             image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
             if image is None:
                 raise ValueError(f"{self.names[index]} is not an image")
-        return np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image
+        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 else image
 
     def __iter__(self) -> Iterator[np.ndarray]:
         return (self[i] for i in range(len(self)))
@@ -187,8 +187,9 @@ def encode_image(image: np.ndarray, suffix: str, quality: int = 90) -> bytes:
     import cv2
 
     flags = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, quality], ".webp": [cv2.IMWRITE_WEBP_QUALITY, quality]}
-    bgr = image[..., ::-1] if image.ndim == 3 else image
-    done, data = cv2.imencode(suffix, np.ascontiguousarray(bgr), flags.get(suffix, []))
+    image = np.ascontiguousarray(image)
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
+    done, data = cv2.imencode(suffix, bgr, flags.get(suffix, []))
     if not done:
         raise ArtifactError(f"an image of shape {image.shape} cannot be encoded as {suffix}")
     return data.tobytes()

@@ -142,7 +142,7 @@ def _allot(threads: int) -> None:
     The optimisation loops free and allocate buffers of tens of megabytes every step; glibc would return each to the
     system and fault it in again page by page, which costs a third of the time of such a loop.
     """
-    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ[name] = str(threads)
     try:
         libc = ctypes.CDLL("libc.so.6")

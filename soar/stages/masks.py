@@ -1,0 +1,91 @@
+"""Cut the subject out of every frame of one camera as a soft mask."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from soar.artifacts import ImageArchive, write_image, write_images
+from soar.body.openpose import BODY
+from soar.datasets.sequence import Sequence
+from soar.errors import ArtifactError
+from soar.health import Health
+from soar.perception.diagnostics import MaskFigures, area_jitter, mask_figures
+from soar.perception.keypoints import Keypoints
+from soar.perception.masks import MaskProvider
+from soar.perception.registry import mask_provider
+from soar.perception.roi import Roi
+from soar.progress import track
+from soar.report.pictures import composite, fit, grid, overlay_mask, to_uint8
+from soar.stages import Job
+
+_SHOWN = 6  # frames on the evidence sheet
+_CELL = (360, 480)  # width and height of a picture on the sheet, pixels
+_MAGENTA = (1.0, 0.0, 1.0)
+
+
+def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> None:
+    """Write the masks of ``job.camera``, their health, and a sheet of outlines and cut-outs."""
+    sequence, frames = Sequence.read(inputs["sequence"]), ImageArchive(inputs["frames"])
+    record = Keypoints.read(inputs["keypoints"])
+    if len(record.score) != len(frames):
+        raise ArtifactError(
+            f"{inputs['keypoints']} does not belong to these frames",
+            expected=f"{len(frames)} frames",
+            got=str(len(record.score)),
+            cure="delete the file and run snakemake; it is made again",
+        )
+    estimate = mask_provider(cfg["masks"], Path(inputs["models"]), job.threads)
+    figures: list[MaskFigures] = []
+    write_images(outputs["masks"], _masks(frames, record, estimate, figures), ".png")
+    write_image(outputs["evidence"], _sheet(frames, ImageArchive(outputs["masks"]), sequence.frame_ids))
+    _health(figures, sequence.frame_ids).write(outputs["health"])
+
+
+def _masks(
+    frames: ImageArchive, record: Keypoints, estimate: MaskProvider, figures: list[MaskFigures]
+) -> Iterator[np.ndarray]:
+    """Masks (H, W) uint8 one at a time, so that memory does not grow with the clip; their figures are appended."""
+    for t in track(range(len(frames)), "masks"):
+        image = frames[t]
+        alpha = np.zeros(image.shape[:2], np.float32)
+        if record.present[t]:
+            alpha = estimate(image, Roi(*map(float, record.roi[t])), record.keypoints[t, : len(BODY)])
+        figures.append(mask_figures(alpha))
+        yield np.round(alpha * 255).astype(np.uint8)
+
+
+def _sheet(frames: ImageArchive, masks: ImageArchive, frame_ids: tuple[int, ...]) -> np.ndarray:
+    shown = np.unique(np.linspace(0, len(frames) - 1, _SHOWN).round().astype(int))
+    pictures = []
+    for t in shown:
+        image, alpha = frames[t], masks[t]
+        rows, columns = (np.flatnonzero((alpha > 127).any(axis)) for axis in (1, 0))
+        if len(rows):
+            margin = 20 + len(rows) // 20
+            box = tuple(slice(max(0, i[0] - margin), i[-1] + margin) for i in (rows, columns))
+            image, alpha = image[box], alpha[box]
+        pictures += [overlay_mask(image, alpha, opacity=0.0), to_uint8(composite(image, alpha, _MAGENTA))]
+    labels = [f"frame {frame_ids[t]}" for t in np.repeat(shown, 2)]
+    return grid([fit(p, *_CELL) for p in pictures], 4, labels)
+
+
+def _health(figures: list[MaskFigures], frame_ids: tuple[int, ...]) -> Health:
+    health = Health("masks")
+    areas = np.array([f.area for f in figures], float)
+    full = [f for f in figures if f.area]
+    empty = [frame_ids[t] for t in np.flatnonzero(areas == 0)]
+    border = np.mean([f.at_border for f in full]) if full else float("nan")
+    health.add("empty_frames", len(empty) / len(figures))
+    health.add("area", np.median(areas[areas > 0]) if full else float("nan"), "px^2")
+    health.add("area_jitter", area_jitter(areas))
+    health.add("components", np.mean([f.components for f in full]) if full else float("nan"))
+    health.add("border_contact", border)
+    if empty:
+        health.remark(f"The mask is empty in {len(empty)} of {len(figures)} frames, the first being frame {empty[0]}.")
+    if border > 0:
+        health.remark(f"The mask touches the image border in {border:.0%} of the frames: the person may be cut off.")
+    return health
