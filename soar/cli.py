@@ -45,23 +45,30 @@ def _parser() -> argparse.ArgumentParser:
         "--with", dest="extra", nargs="*", default=[], metavar="NAME", help="optional models to fetch too"
     )
     models.add_argument("--offline", action="store_true", help="use only what is on disk")
-    models.set_defaults(run=_models)
-    for name in (*workflow.SETUP, *workflow.STAGES, "report"):
-        if name == "models":
-            continue
+    _job_options(models)
+    models.set_defaults(run=_models, stage="models", sequence=None, camera=None)
+    for name in ("fetch", *workflow.STAGES, "report"):
         stage = commands.add_parser(name, help=f"run the stage {name}")
         stage.add_argument("overrides", nargs="*", help="Hydra overrides, e.g. dataset=video dataset.path=my.mp4")
         stage.add_argument("--sequence", help="sequence to run; the only one if there is one")
         stage.add_argument("--variant", default="full", help="variant to run (default: full)")
         stage.add_argument("--camera", help="camera, for stages that run per camera")
-        stage.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)), help="threads to use")
-        stage.add_argument("--files", type=json.loads, help=argparse.SUPPRESS)
-        stage.add_argument("--cfg", type=json.loads, help=argparse.SUPPRESS)
+        _job_options(stage)
         stage.set_defaults(run=_stage, stage=name)
     return parser
 
 
+def _job_options(parser: argparse.ArgumentParser) -> None:
+    """What the DAG passes: threads, and files and configuration as JSON."""
+    parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)), help="threads to use")
+    parser.add_argument("--files", type=json.loads, help=argparse.SUPPRESS)
+    parser.add_argument("--cfg", type=json.loads, help=argparse.SUPPRESS)
+
+
 def _models(options: argparse.Namespace) -> None:
+    if options.files is not None:
+        _stage(options)
+        return
     from soar.models.describe import describe, table
     from soar.stages.models import fetch
 

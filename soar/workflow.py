@@ -110,7 +110,7 @@ STAGES: dict[str, Stage] = {
         Stage(
             "reconstruct",
             ("avatar", "reconstruct", "raster"),
-            _POSED | _MODELS | {"normals": "normals/{camera}.npz"},
+            _POSED | _MODELS | {"normals": "normals/{camera}.npz", "paint": "paint/avatar.safetensors"},
             {"avatar": "avatar.safetensors", "curves": "curves.json"},
         ),
         Stage(

@@ -15,6 +15,8 @@ rule paint:
         runtime=20,
     params:
         **params("paint"),
+    message:
+        "Painting the baseline of {wildcards.sequence}"
     shell:
         RUN
 
@@ -34,6 +36,8 @@ rule reconstruct:
         runtime=240,
     params:
         **params("reconstruct"),
+    message:
+        "Reconstructing {wildcards.sequence} ({wildcards.variant})"
     shell:
         RUN
 
@@ -53,5 +57,7 @@ rule occlusion:
         runtime=30,
     params:
         **params("occlusion"),
+    message:
+        "Finding what was never seen of {wildcards.sequence} ({wildcards.variant})"
     shell:
         RUN

@@ -15,6 +15,8 @@ rule calibrate:
         runtime=10,
     params:
         **params("calibrate"),
+    message:
+        "Refining camera rotations of {wildcards.sequence}"
     shell:
         RUN
 
@@ -34,6 +36,8 @@ rule body:
         runtime=60,
     params:
         **params("body"),
+    message:
+        "Fitting the body of {wildcards.sequence} ({wildcards.variant})"
     shell:
         RUN
 
@@ -52,6 +56,8 @@ rule monocular:
         runtime=60,
     params:
         **params("monocular"),
+    message:
+        "Checking a one-camera fit of {wildcards.sequence}"
     shell:
         RUN
 
@@ -70,6 +76,8 @@ rule crops:
         runtime=30,
     params:
         **params("crops"),
+    message:
+        "Cutting out the person in {wildcards.sequence}, {wildcards.camera}"
     shell:
         RUN_CAMERA
 
@@ -88,5 +96,7 @@ rule normals:
         runtime=30,
     params:
         **params("normals"),
+    message:
+        "Making normal maps of {wildcards.sequence}, {wildcards.camera}"
     shell:
         RUN_CAMERA

@@ -1,7 +1,5 @@
 # Helpers of the rules: everything is asked of soar.workflow.
 
-import json
-
 from soar.errors import SoarError
 from soar.workflow import (
     MODELS,
@@ -16,6 +14,7 @@ from soar.workflow import (
 
 try:
     FLOW = Workflow(config)
+    FLOW.jobs()  # so that a calibration that cannot be read is named here
 except SoarError as error:
     raise WorkflowError(str(error))
 

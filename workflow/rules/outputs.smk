@@ -25,6 +25,8 @@ rule render:
         runtime=30,
     params:
         **params("render"),
+    message:
+        "Rendering the turntable of {wildcards.sequence} ({wildcards.variant})"
     shell:
         RUN
 
@@ -43,6 +45,8 @@ rule views:
         runtime=30,
     params:
         **params("views"),
+    message:
+        "Rendering {wildcards.sequence} ({wildcards.variant}) from {wildcards.camera}"
     shell:
         RUN_CAMERA
 
@@ -68,6 +72,8 @@ rule evaluate:
         runtime=60,
     params:
         **params("evaluate"),
+    message:
+        "Measuring {wildcards.sequence} ({wildcards.variant})"
     shell:
         RUN
 

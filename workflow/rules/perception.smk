@@ -15,6 +15,8 @@ rule ingest:
         runtime=10,
     params:
         **params("ingest"),
+    message:
+        "Reading cameras and frame range of {wildcards.sequence}"
     shell:
         RUN
 
@@ -33,6 +35,8 @@ rule frames:
         runtime=30,
     params:
         **params("frames"),
+    message:
+        "Undistorting frames of {wildcards.sequence}, {wildcards.camera}"
     shell:
         RUN_CAMERA
 
@@ -51,6 +55,8 @@ rule keypoints:
         runtime=60,
     params:
         **params("keypoints"),
+    message:
+        "Tracking the person in {wildcards.sequence}, {wildcards.camera}"
     shell:
         RUN_CAMERA
 
@@ -69,5 +75,7 @@ rule masks:
         runtime=60,
     params:
         **params("masks"),
+    message:
+        "Masking the person in {wildcards.sequence}, {wildcards.camera}"
     shell:
         RUN_CAMERA

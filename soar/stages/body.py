@@ -1,0 +1,117 @@
+"""Fit the body to keypoints and masks of several cameras, or of the only one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from soar.artifacts import ImageArchive, write_image
+from soar.body import measure, pictures
+from soar.body.fit import FitSettings, fit_body
+from soar.body.initial import points_from_world, pose_from_points
+from soar.body.motion import BodyMotion
+from soar.body.observations import Observations
+from soar.body.openpose import BODY, LIMBS
+from soar.body.record import BodyModel
+from soar.body.silhouette import Silhouettes
+from soar.body.skeleton import collapse
+from soar.body.triangulate import triangulate
+from soar.config import settings
+from soar.datasets.sequence import Sequence
+from soar.health import Health
+from soar.report.pictures import fit, grid
+from soar.stages import Job
+from soar.stages._subject import archives, calibrated, observe, spread
+
+SHOWN = 5  # frames on the evidence sheet
+MEASURED = 25  # frames whose overlap with the mask is measured
+CELL = (300, 420)  # width and height of a picture on the sheet, pixels
+
+
+def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> None:
+    """Write the fitted motion, its figures, and the body drawn over frames of every camera."""
+    sequence = Sequence.read(inputs["sequence"])
+    options = settings(FitSettings, cfg["body"], "body")
+    model = BodyModel.load(inputs["body_model"])
+    everyone = observe(inputs, calibrated(inputs, sequence), options.min_confidence)
+    used = everyone.select(sequence.train) if options.cameras == "train" else everyone
+    masks = archives(inputs["masks"], sequence.names, len(sequence))
+    motion, history = fitted(model, used, masks, options, sequence.subject.stature_m)
+    motion.write(outputs["body"])
+    frames = archives(inputs["frames"], sequence.names, len(sequence))
+    write_image(outputs["evidence"], sheet(model, motion, everyone, frames, sequence.frame_ids))
+    health = Health("body")
+    figures(health, model, motion, everyone, masks, options.silhouette.threshold)
+    for name, value in history[-1].items():
+        health.add(f"term_{name}", value)
+    if len(used.cameras) == 1:
+        health.remark("Fitted to one camera: depth, leaning towards the camera and stature are guesses.")
+    health.write(outputs["health"])
+
+
+def fitted(
+    model: BodyModel, seen: Observations, masks: Mapping[str, ImageArchive], options: FitSettings, stature: float | None
+) -> tuple[BodyMotion, list[dict[str, float]]]:
+    """Start from triangulated points, or from metric landmarks where there is one camera, and fit."""
+    if len(seen.cameras) > 1:
+        unit = (seen.box_height() / 100)[..., None]
+        points = triangulate(seen.cameras, seen.points, seen.confidence, unit, options.triangulation)
+    else:
+        points = points_from_world(seen.cameras[0], seen)
+    start = pose_from_points(model, collapse(model), points, options.initial)
+    outlines = None
+    if options.silhouette.weight > 0:
+        outlines = Silhouettes(seen.cameras, [masks[c.name] for c in seen.cameras], options.silhouette)
+    return fit_body(model, seen, start, options, silhouettes=outlines, stature=stature)
+
+
+def figures(
+    health: Health,
+    model: BodyModel,
+    motion: BodyMotion,
+    seen: Observations,
+    masks: Mapping[str, ImageArchive],
+    threshold: float,
+) -> None:
+    """Add reprojection errors, mask overlap, jitter and shape of a fit to its health."""
+    points = measure.motion_keypoints(model, motion)
+    error = measure.reprojection(seen, points)
+    for name, part in (("limbs", error[..., LIMBS]), ("body", error[..., : len(BODY)]), ("all", error)):
+        health.add(f"reprojection_{name}", np.nanmedian(part), "px")
+        health.add(f"reprojection_{name}_p90", np.nanquantile(part, 0.9), "px")
+    shown = spread(len(motion), MEASURED)
+    overlaps = []
+    for c, camera in enumerate(seen.cameras):
+        health.add(f"reprojection_limbs/{camera.name}", np.nanmedian(error[c][:, LIMBS]), "px")
+        overlap = np.nanmean(measure.mask_overlap(model, motion, camera, masks[camera.name], shown, threshold))
+        health.add(f"overlap/{camera.name}", overlap)
+        overlaps.append(overlap)
+    health.add("overlap", np.nanmean(overlaps))
+    health.add("jitter", measure.jitter(points[:, : len(BODY)]), "cm/frame^2")
+    health.add("stature", measure.stature(model, motion.betas), "m")
+    health.add("largest_beta", motion.betas.abs().max(), "standard deviations")
+    health.add("largest_offset", 100 * torch.linalg.norm(motion.keypoint_offsets, dim=1).max(), "cm")
+
+
+def sheet(
+    model: BodyModel,
+    motion: BodyMotion,
+    seen: Observations,
+    frames: Mapping[str, ImageArchive],
+    frame_ids: tuple[int, ...],
+) -> np.ndarray:
+    """The body over frames: one row per camera."""
+    shown = spread(len(motion), SHOWN)
+    cells, labels = [], []
+    for camera in seen.cameras:
+        for t in shown:
+            vertices = measure.frame_vertices(model, motion, t)
+            image = frames[camera.name][t]
+            drawn = pictures.draw_body(image, camera, vertices, model)
+            cells.append(fit(drawn[pictures.window(camera.project(vertices), image.shape[:2], 0.08)], *CELL))
+            labels.append(f"{camera.name}  frame {frame_ids[t]}")
+    return grid(cells, len(shown), labels)
