@@ -30,7 +30,6 @@ rule body:
         job_file("body", ".log"),
     benchmark:
         job_file("body", ".tsv")
-    threads: 2
     resources:
         mem_mb=3000,
         runtime=60,
