@@ -103,7 +103,7 @@ def read_json(path: str | os.PathLike[str]) -> Any:
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], compress: bool = False) -> None:
     """Write named arrays (no object arrays) to one ``.npz``."""
     with atomic_path(path) as temporary, open(temporary, "wb") as stream:
-        (np.savez_compressed if compress else np.savez)(stream, **{k: np.asarray(v) for k, v in arrays.items()})
+        (np.savez_compressed if compress else np.savez)(stream, allow_pickle=False, **arrays)
 
 
 def read_npz(path: str | os.PathLike[str], keys: Iterable[str] | None = None) -> dict[str, np.ndarray]:

@@ -193,9 +193,10 @@ def _module(name: str) -> tuple[str, frozenset[str]] | None:
     package = name if base.is_dir() else name.rpartition(".")[0]
     imports = frozenset(_imports(tree, package))
     text = ast.unparse(_strip_docstrings(tree))
-    for source in sorted(path.parent.glob("*.cpp")) + sorted(path.parent.glob("*.h")):
+    for source in sorted((path.parent / "native").glob("*.[ch]*")):
         text += re.sub(r"/\*.*?\*/|//[^\n]*|\s+", " ", source.read_text(encoding="utf-8"), flags=re.S)
-    for data in sorted((path.parent / "data").glob("*.json")):
+    # Data of the package, and the template of the same name beside a module.
+    for data in (*sorted((path.parent / "data").glob("*.json")), *path.parent.glob(f"{path.stem}.html")):
         text += hashlib.sha256(data.read_bytes()).hexdigest()
     return text, imports
 

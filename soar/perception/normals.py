@@ -103,7 +103,8 @@ class SignTest:
     Attributes:
         facing: median n_z of the front map; negative.
         left, right: mean front n_x over the left and right third of each row's surface; negative, positive.
-        top: mean front n_y over the upper third of each column's surface; negative.
+        top, bottom: mean front n_y over the upper and lower third of each column's surface. A camera that looks down
+            or a person who leans shifts both, so it is their order that tells: top below bottom.
         behind: median n_z of the back map; positive.
     """
 
@@ -111,12 +112,13 @@ class SignTest:
     left: float
     right: float
     top: float
+    bottom: float
     behind: float
 
     @property
     def passed(self) -> bool:
         """Whether every sign is right."""
-        return self.facing < 0 < self.behind and self.left < 0 < self.right and self.top < 0
+        return self.facing < 0 < self.behind and self.left < 0 < self.right and self.top < self.bottom
 
 
 def sign_test(front: np.ndarray, back: np.ndarray) -> SignTest:
@@ -124,7 +126,7 @@ def sign_test(front: np.ndarray, back: np.ndarray) -> SignTest:
     inside = np.abs(front).max(-1) > 0
     behind = np.abs(back).max(-1) > 0
     if not (inside.any() and behind.any()):
-        return SignTest(*[float("nan")] * 5)
+        return SignTest(*[float("nan")] * 6)
 
     def share(axis: int) -> np.ndarray:
         """Share of the surface pixels of a row or column that come before each one."""
@@ -136,5 +138,6 @@ def sign_test(front: np.ndarray, back: np.ndarray) -> SignTest:
         left=float(front[inside & (across < 1 / 3)][:, 0].mean()),
         right=float(front[inside & (across > 2 / 3)][:, 0].mean()),
         top=float(front[inside & (down < 1 / 3)][:, 1].mean()),
+        bottom=float(front[inside & (down > 2 / 3)][:, 1].mean()),
         behind=float(np.median(back[behind][:, 2])),
     )

@@ -1,0 +1,1 @@
+"""Differentiable terms of the objectives; every image is channel-first, every term a scalar."""

@@ -1,0 +1,1 @@
+"""What an image is worth: masked and whole-image metrics, silhouettes, colour calibration. No gradients."""

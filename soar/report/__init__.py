@@ -1,0 +1,1 @@
+"""Pictures, videos and pages made from results. Nothing here computes a result."""

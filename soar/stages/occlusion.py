@@ -1,0 +1,63 @@
+"""tau: which surfels no training frame ever shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from soar.artifacts import write_image, write_json
+from soar.avatar.articulate import pose
+from soar.avatar.surfels import Avatar
+from soar.config import settings
+from soar.health import Health
+from soar.optimise.occlusion import OcclusionSettings, occlusion
+from soar.raster import Pinhole, rasterise
+from soar.report.orbit import Orbit
+from soar.report.pictures import grid
+from soar.report.shots import Shot
+from soar.stages import Job
+from soar.stages._observed import Observed
+
+_SIZE = 480  # pixels, height of each picture on the evidence sheet
+_SIDES = ("front", "left", "back", "right")
+
+
+def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> None:
+    """Write the avatar with tau, the body occlusion ratio, the avatar from four sides coloured by tau, and health."""
+    options = settings(OcclusionSettings, cfg["occlusion"], "occlusion")
+    observed = Observed.read(inputs, cfg)
+    result = occlusion(
+        Avatar.read(inputs["avatar"]), observed.articulation, observed.views, options, observed.raster, job.seed
+    )
+    result.avatar.write(outputs["avatar"])
+    numbers = {"bor": result.bor, "bor_area": result.bor_area, "undecided": result.undecided}
+    write_json(outputs["occlusion"], numbers)
+    write_image(outputs["evidence"], _sheet(observed, result.avatar))
+    health = Health("occlusion")
+    for name, value in numbers.items():
+        health.add(name, value)
+    if result.undecided > 0.01:
+        health.remark(
+            f"{100 * result.undecided:.1f} % of the surfels are neither seen nor unseen: raise occlusion.steps."
+        )
+    health.write(outputs["health"])
+
+
+def _sheet(observed: Observed, avatar: Avatar) -> np.ndarray:
+    """The avatar in the canonical pose from four sides: photograph-like above, tau below; red was never seen."""
+    body = observed.body
+    orbit = Orbit.around(avatar.positions.numpy(), body.up.numpy(), body.front.numpy(), _SIZE, fov=0.5, margin=0.04)
+    pinhole = Pinhole.from_K(orbit.K, orbit.width, orbit.height)
+    one = torch.ones(len(avatar), 1)
+    shots = []
+    for k in range(len(_SIDES)):
+        T = torch.from_numpy(orbit.T_cam_from_world(k * np.pi / 2)).float()
+        positions, normals = pose(avatar.positions, avatar.normals, one, T[None, :3])
+        surfels = (positions, normals, avatar.scales, avatar.colours, avatar.occlusion)
+        shots.append(Shot.of(rasterise(*surfels, pinhole, side="front", settings=observed.raster)))
+    pictures = [shot.on_white() for shot in shots] + [shot.occlusion_on_white() for shot in shots]
+    return grid(pictures, len(_SIDES), [*_SIDES, *("tau" for _ in _SIDES)])
