@@ -28,3 +28,5 @@ rule all:
     input:
         FLOW.everything(),
         report_outputs(),
+    message:
+        "Everything is made: results/{FLOW.dataset}/report/report.html"

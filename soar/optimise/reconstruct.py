@@ -142,7 +142,7 @@ def _not_finite(what: str, values: dict[str, Tensor], step: int, checkpoint: Che
     return NumericalError(
         f"reconstruction stopped at step {step}: {what} {', '.join(culprits)} is not finite",
         expected="finite numbers",
-        got=", ".join(f"{name} = {float(value)}" for name, value in values.items()),
+        got=", ".join(f"{name} = {float(value.detach())}" for name, value in values.items()),
         cure=f"lower the rates in conf/reconstruct or look at the inputs; the last good state is in {checkpoint.path}",
     )
 

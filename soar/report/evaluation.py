@@ -48,6 +48,7 @@ METRICS: dict[str, Metric] = {
     "psnr": Metric("PSNR", "dB", True, 2),
     "ssim": Metric("SSIM", "", True, 3),
     "lpips": Metric("LPIPS", "", False, 4),
+    "masked_lpips": Metric("masked LPIPS", "", False, 4),
     "visible_mpsnr": Metric("visible mPSNR", "dB", True, 2),
     "visible_mlpips": Metric("visible mLPIPS", "", False, 4),
     "occluded_mpsnr": Metric("occluded mPSNR", "dB", True, 2),
@@ -131,6 +132,7 @@ def score(
         "psnr": psnr(image, target),
         "ssim": ssim(image, target, settings.ssim),
         "lpips": _lpips(lpips, image, target),
+        "masked_lpips": _lpips(lpips, shot.colour * parts.both[..., None], truth.rgb * parts.both[..., None]),
         "iou": iou(shot.alpha, truth.alpha),
         "psnr_calibrated": psnr(calibrated, target),
     }

@@ -118,7 +118,8 @@ def _protocol(options: EvaluateSettings) -> dict[str, Any]:
         "visible": f"rendered tau of the avatar at most {options.occlusion_threshold}",
         "occluded": f"rendered tau of the avatar above {options.occlusion_threshold}",
         "min_pixels": options.min_pixels,
-        "lpips": f"v0.1, {options.lpips} trunk; mLPIPS: masked images on black, spatial map averaged in the mask",
+        "lpips": f"v0.1, {options.lpips} trunk; masked LPIPS: both images black outside the region; mLPIPS: the same, "
+        "spatial map averaged in the mask",
         "ssim": options.ssim,
         "calibrated": "after gain and offset per channel fitted on the compared pixels of the camera, per method",
     }
@@ -137,7 +138,7 @@ def _health(cameras: Mapping[str, Any], bor: float, bor_area: float) -> Health:
     health = Health("evaluate")
     for name, camera in cameras.items():
         ours, paint = camera["methods"][_OURS], camera["methods"]["paint"]
-        for metric in ("iou", "psnr", "lpips"):
+        for metric in ("iou", "psnr", "masked_lpips"):
             unit = METRICS[metric].unit
             health.add(f"{camera['split']}_{metric}/{name}", _number(ours[metric]), unit)
             gain = (_number(ours[metric]) - _number(paint[metric])) * (1 if METRICS[metric].higher_is_better else -1)
