@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from kornia.geometry.conversions import axis_angle_to_rotation_matrix, rotation_matrix_to_quaternion
 
 from soar.geometry import rotations as r
 
@@ -31,6 +32,14 @@ def test_matrices_are_rotations_and_match_the_exponential() -> None:
 def test_round_trips(there, back) -> None:
     R = r.axis_angle_to_matrix(vectors())
     assert torch.allclose(back(there(R)), R, atol=1e-7)
+
+
+def test_agrees_with_kornia_where_it_is_smooth() -> None:
+    v = torch.randn(50, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    R = r.axis_angle_to_matrix(v)
+    assert torch.allclose(R, axis_angle_to_rotation_matrix(v), atol=1e-6)
+    theirs = rotation_matrix_to_quaternion(R)
+    assert torch.allclose(r.matrix_to_quaternion(R), theirs * theirs[:, :1].sign(), atol=1e-6)
 
 
 def test_quaternion_order_is_wxyz() -> None:
