@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import glob
 import hashlib
 import json
 import os
@@ -53,6 +54,13 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def remove_leftovers(path: str | os.PathLike[str]) -> None:
+    """Remove what killed writers of ``path`` left; nobody may be writing it now."""
+    target = Path(path)
+    for leftover in target.parent.glob(f".{glob.escape(target.stem)}.????????{target.suffix}"):
+        leftover.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -114,10 +122,12 @@ def read_npz(path: str | os.PathLike[str], keys: Iterable[str] | None = None) ->
 
 def write_tensors(path: str | os.PathLike[str], tensors: Mapping[str, Any], metadata: Mapping[str, str]) -> None:
     """Write torch tensors and string metadata to one ``.safetensors`` file."""
-    from safetensors.torch import save_file
+    from safetensors.torch import save
 
+    # Written here and not by the library, whose own error for a full disk would not be told from any other.
+    content = save({k: v.detach().contiguous().cpu() for k, v in tensors.items()}, dict(metadata))
     with atomic_path(path) as temporary:
-        save_file({k: v.detach().contiguous().cpu() for k, v in tensors.items()}, temporary, dict(metadata))
+        temporary.write_bytes(content)
 
 
 def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, str]]:

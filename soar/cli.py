@@ -129,6 +129,7 @@ def execute(
     Raises:
         SoarError: whatever the stage found wrong; no output is left half-written.
     """
+    from soar.artifacts import remove_leftovers
     from soar.provenance import record
     from soar.stages import Job
 
@@ -137,6 +138,8 @@ def execute(
     scratch = provenance.with_name(f".{provenance.stem}.scratch")
     cfg = dict(cfg)
     job = Job(sequence, camera, cfg.pop("seed"), threads, scratch)
+    for path in outputs.values():
+        remove_leftovers(path)
     work = {name: path for name, path in outputs.items() if name != "provenance"}
     importlib.import_module(f"soar.stages.{stage}").run(inputs, work, cfg, job)
     record(provenance, stage, job, inputs, work, cfg, time.perf_counter() - started)

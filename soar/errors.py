@@ -14,12 +14,14 @@ class SoarError(Exception):
         what: what went wrong, naming the file, key or value concerned.
         expected: what would have been right.
         got: what came instead.
-        cure: what to do about it.
+        cure: what to do about it; without one, what the class says.
     """
 
     exit_code = 2
+    default_cure = ""
 
     def __init__(self, what: str, *, expected: str = "", got: str = "", cure: str = "") -> None:
+        cure = cure or self.default_cure
         self.what, self.expected, self.got, self.cure = what, expected, got, cure
         parts = [what]
         if expected:
@@ -34,6 +36,8 @@ class SoarError(Exception):
 class ConfigError(SoarError):
     """An unknown, missing or ill-typed configuration value."""
 
+    default_cure = "correct the value in conf/ or in the override; conf/README.md lists keys and options"
+
 
 class InputError(SoarError):
     """A video, image, folder or table of the user's that cannot be used."""
@@ -41,6 +45,8 @@ class InputError(SoarError):
 
 class CalibrationError(InputError):
     """Camera parameters that are malformed or do not match the frames."""
+
+    default_cure = "correct the calibration; docs/data.md has its form"
 
 
 class SubjectError(InputError):
@@ -50,9 +56,13 @@ class SubjectError(InputError):
 class ArtifactError(SoarError):
     """A file of ours that is missing, truncated or of another layout than the reader's."""
 
+    default_cure = "delete the file and run snakemake; it is made again"
+
 
 class ModelFileError(SoarError):
     """Weights that are missing, corrupt, unsafe, or of the wrong shape."""
+
+    default_cure = "delete the file and fetch it again; if that does not help, report it"
 
 
 class StorageError(SoarError):

@@ -72,6 +72,7 @@ _FRAMES = {"frames": "frames/{camera}.zip"}
 _MASKS = {"masks": "masks/{camera}.zip"}
 _KEYPOINTS = {"keypoints": "keypoints/{camera}.npz"}
 _CALIBRATION = {"calibration": "calibrate/calibration.json"}
+_CAMERAS = {"calibration": "body/cameras.json"}
 _POSED = {**_SEQUENCE, **_BODY_MODEL, "body": "body/body.npz", "crops": "crops/{camera}.npz"}
 
 STAGES: dict[str, Stage] = {
@@ -88,20 +89,20 @@ STAGES: dict[str, Stage] = {
         Stage("calibrate", ("calibrate",), _SEQUENCE | _FRAMES | _KEYPOINTS, {"calibration": "calibration.json"}),
         Stage(
             "body",
-            ("body",),
+            ("body", "monocular"),
             _SEQUENCE | _CALIBRATION | _FRAMES | _KEYPOINTS | _MASKS | _BODY_MODEL,
-            {"body": "body.npz"},
+            {"body": "body.npz", "cameras": "cameras.json"},
         ),
         Stage(
             "monocular",
             ("body", "monocular"),
-            _SEQUENCE | _CALIBRATION | _FRAMES | _KEYPOINTS | _MASKS | _BODY_MODEL | {"reference": "body/body.npz"},
+            _SEQUENCE | _CAMERAS | _FRAMES | _KEYPOINTS | _MASKS | _BODY_MODEL | {"reference": "body/body.npz"},
             {"body": "body.npz"},
         ),
         Stage(
             "crops",
             ("crops",),
-            _SEQUENCE | _CALIBRATION | _FRAMES | _MASKS,
+            _SEQUENCE | _CAMERAS | _FRAMES | _MASKS,
             {"crops": "{camera}.npz"},
             per_camera=True,
         ),
@@ -196,7 +197,7 @@ def _module(name: str) -> tuple[str, frozenset[str]] | None:
     for source in sorted((path.parent / "native").glob("*.[ch]*")):
         text += re.sub(r"/\*.*?\*/|//[^\n]*|\s+", " ", source.read_text(encoding="utf-8"), flags=re.S)
     # Data of the package, and the template of the same name beside a module.
-    for data in (*sorted((path.parent / "data").glob("*.json")), *path.parent.glob(f"{path.stem}.html")):
+    for data in (*sorted((path.parent / "data").rglob("*.json")), *path.parent.glob(f"{path.stem}.html")):
         text += hashlib.sha256(data.read_bytes()).hexdigest()
     return text, imports
 

@@ -42,6 +42,7 @@ class AvatarSettings:
 
     Attributes:
         subdivisions: of the body mesh; each quadruples the faces.
+        longest_edge: metres; a longer edge of the subdivided mesh gets a surfel in its middle.
         scale_neighbours: a surfel's radius is the mean distance to so many nearest ones.
         neighbours: body vertices whose skinning weights a surfel blends.
         attributes: ``field``: colour and radius come from Phi; ``explicit``: they are free values of each surfel.
@@ -49,6 +50,7 @@ class AvatarSettings:
     """
 
     subdivisions: int
+    longest_edge: float
     scale_neighbours: int
     neighbours: int
     attributes: Literal["field", "explicit"]

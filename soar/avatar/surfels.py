@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 
+import numpy as np
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
@@ -14,7 +15,7 @@ from soar.avatar.settings import AvatarSettings
 from soar.body.lbs import pose_vertices
 from soar.body.record import BodyModel
 from soar.errors import ArtifactError
-from soar.geometry.meshes import compact, subdivide, vertex_normals
+from soar.geometry.meshes import compact, edges, subdivide, vertex_normals
 from soar.geometry.rotations import axis_angle_to_matrix, matrix_to_quaternion, orthonormal_frame, quaternion_to_matrix
 
 LAYOUT = "soar-avatar-1"
@@ -117,15 +118,20 @@ def nearest(points: Tensor, queries: Tensor, count: int) -> tuple[Tensor, Tensor
 def from_body(body: BodyModel, betas: Tensor, settings: AvatarSettings) -> Avatar:
     """One grey, never seen surfel per vertex of the subdivided body surface in the canonical pose.
 
+    Body meshes are coarse on the trunk: an edge longer than ``settings.longest_edge`` gets a surfel in its middle.
     Faces that no camera can see (mouth and eye cavities) are left out. The radius is the mean distance to the nearest
     neighbours, so neighbouring disks overlap and the surface is closed.
     """
     vertices = canonical_vertices(body, betas)
     faces, used = compact(body.faces.cpu().numpy(), ~body.interior.cpu().numpy())
     normals = vertex_normals(vertices, body.faces[~body.interior])[used]
-    arrays = (vertices[used].cpu().numpy(), normals.cpu().numpy())
+    arrays = [vertices[used].cpu().numpy(), normals.cpu().numpy()]
     for _ in range(settings.subdivisions):
         faces, *arrays = subdivide(faces, *arrays)
+    pairs = edges(faces)
+    ends = arrays[0][pairs]
+    wide = pairs[np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) > settings.longest_edge]
+    arrays = [np.concatenate([x, x[wide].mean(1)]) for x in arrays]
     positions, normals = (torch.from_numpy(a).to(vertices) for a in arrays)
     distances, _ = nearest(positions, positions, settings.scale_neighbours + 1)
     return Avatar(

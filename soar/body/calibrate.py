@@ -172,7 +172,7 @@ def _adjust(
         g = gw - np.einsum("ncik,nkl,nl->ci", Hwx, inverse, gx) + (total.reshape(-1) @ stiffness).reshape(-1, 3)
         step = -np.linalg.solve(H, g.reshape(-1)).reshape(-1, 3)
         X = X - np.einsum("nij,nj->ni", inverse, gx + np.einsum("ncji,cj->ni", Hwx, step))
-        turned = tuple(_turned(camera, turn) for camera, turn in zip(turned, step, strict=True))
+        turned = tuple(camera.turned(turn) for camera, turn in zip(turned, rotations(step), strict=True))
         total = total + step
         if not (np.isfinite(X).all() and np.isfinite(step).all()):
             raise NumericalError(
@@ -181,16 +181,14 @@ def _adjust(
     return turned
 
 
+def rotations(turns: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of axis-angle vectors (..., 3) in radians."""
+    return axis_angle_to_matrix(torch.from_numpy(turns)).numpy()
+
+
 def _hat(v: np.ndarray) -> np.ndarray:
     """Cross-product matrices (..., 3, 3) of (..., 3)."""
     return np.cross(v[..., None, :], -np.eye(3))
-
-
-def _turned(camera: Camera, turn: np.ndarray) -> Camera:
-    """The camera turned about its own centre."""
-    T = np.eye(4)
-    T[:3, :3] = axis_angle_to_matrix(torch.from_numpy(turn)).numpy()
-    return dataclasses.replace(camera, T_cam_from_world=T @ camera.T_cam_from_world)
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:

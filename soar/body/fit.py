@@ -3,7 +3,7 @@
 The paper's objective (equation 3): robust reprojection error, smoothness of rotations over time, and staying near the
 start. As printed its smoothness term is constant; it is read as the squared angle between consecutive rotations.
 Beyond the paper, switched by weights: silhouettes, a constant rest-space offset for each keypoint (detector and body do
-not mean the same hip), priors on shape and pose, metric landmarks for a single camera.
+not mean the same hip), small turns of the cameras, priors on shape and pose, metric landmarks for a single camera.
 """
 
 from __future__ import annotations
@@ -27,9 +27,12 @@ from soar.body.silhouette import Pairs, Silhouettes, SilhouetteSettings, match
 from soar.body.skeleton import Skeleton, collapse
 from soar.body.triangulate import TriangulationSettings
 from soar.errors import ConfigError
+from soar.geometry.cameras import Camera
 from soar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 STEP_M, LEVER_M = 0.02, 0.4  # metres: a typical step of a keypoint, and a typical distance of keypoints from a joint
+STEP_CAMERA = 0.005  # radians: a typical error of a calibrated camera's rotation
+CAMERAS_TO_TURN = 3  # with fewer, a turned camera and a moved body look alike
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,6 +47,7 @@ class Weights:
         shape: squared betas, sum.
         offset: squared keypoint offsets, centimetres squared, mean over keypoints.
         acceleration: squared second difference of the translation, centimetres squared.
+        camera: squared turns of the cameras, radians squared, sum; 0 holds them, as do fewer than three cameras.
         world: robust squared distance of keypoints to the metric landmarks about the hips, centimetres squared, mean.
         stature: squared deviation from the given stature, centimetres squared.
     """
@@ -55,6 +59,7 @@ class Weights:
     shape: float
     offset: float
     acceleration: float
+    camera: float
     world: float
     stature: float
 
@@ -120,6 +125,8 @@ class Objective:
     ) -> None:
         like = model.v_template
         self.settings, self.skeleton, self.start, self.stature = settings, skeleton, start, stature
+        self.given = tuple(seen.cameras)
+        self.turned = settings.weights.camera > 0 and len(seen.cameras) >= CAMERAS_TO_TURN
         # L-BFGS sees each variable in the step that moves keypoints by about STEP_M; a variable of one frame has a T-th
         # of the influence on a mean over frames, hence the root.
         per_frame = STEP_M * len(start.translation) ** 0.5
@@ -129,14 +136,19 @@ class Objective:
             "turns": like.new_tensor(per_frame / LEVER_M),
             "translation": like.new_tensor(per_frame),
             "offsets": like.new_tensor(STEP_M * len(BODY) ** 0.5),
+            "cameras": like.new_tensor(STEP_CAMERA),
+            "clothing": like.new_tensor(STEP_M),
         }
         self.variables = {
             "betas": torch.zeros_like(start.betas),
             "turns": like.new_zeros(*start.rotations.shape[:2], 3),
             "translation": torch.zeros_like(start.translation),
             "offsets": torch.zeros_like(start.offsets),
+            "cameras": like.new_zeros(len(seen.cameras), 3),
+            "clothing": like.new_zeros(settings.silhouette.clothing_nodes),
         }
-        self.projections = like.new_tensor(np.stack([c.K @ c.T_cam_from_world[:3] for c in seen.cameras]))
+        self.K = like.new_tensor(np.stack([c.K for c in seen.cameras]))
+        self.extrinsics = like.new_tensor(np.stack([c.T_cam_from_world[:3] for c in seen.cameras]))
         self.turn_to_camera = like.new_tensor(np.stack([c.R for c in seen.cameras]))
         factor = np.zeros(COUNT)
         for group, indices in GROUPS.items():
@@ -155,8 +167,23 @@ class Objective:
     @property
     def parameters(self) -> list[Tensor]:
         """The leaf tensors that are optimised."""
-        free = [v for name, v in self.variables.items() if name != "offsets" or self.settings.offsets]
-        return [v.requires_grad_() for v in free]
+        held = {
+            "offsets": not self.settings.offsets,
+            "cameras": not self.turned,
+            "clothing": self.pairs is None or not self.settings.silhouette.clothing_weight,
+        }
+        return [v.requires_grad_() for name, v in self.variables.items() if not held.get(name)]
+
+    def camera_turns(self) -> Tensor:
+        """(C, 3, 3) rotations applied after each camera's own."""
+        return axis_angle_to_matrix(self.variables["cameras"] * self.scales["cameras"])
+
+    @torch.no_grad()
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras as they are turned now."""
+        if not self.turned:
+            return self.given
+        return tuple(c.turned(R.numpy()) for c, R in zip(self.given, self.camera_turns().cpu(), strict=True))
 
     def poses(self) -> Poses:
         """Shape and poses at the variables now."""
@@ -175,7 +202,8 @@ class Objective:
         betas, rotations, translation, offsets = now.betas, now.rotations, now.translation, now.offsets
         transforms = self.skeleton.transforms(betas, rotations)
         points = self.skeleton.keypoints(transforms, betas, translation, offsets)
-        out = {"data": w.data * self._data(points)}
+        projections = self.K @ self.camera_turns() @ self.extrinsics
+        out = {"data": w.data * self._data(points, projections)}
         T = len(rotations)
         if w.smooth and T > 1:
             out["smooth"] = w.smooth * ((rotations[1:] - rotations[:-1]) ** 2).sum() / 2 / (T - 1)
@@ -193,6 +221,8 @@ class Objective:
         if w.acceleration and T > 2:
             second = translation[2:] - 2 * translation[1:-1] + translation[:-2]
             out["acceleration"] = w.acceleration * 1e4 * (second**2).sum() / (T - 2)
+        if self.turned:
+            out["camera"] = w.camera * ((self.variables["cameras"] * self.scales["cameras"]) ** 2).sum()
         if w.world:
             out["world"] = w.world * self._world(points)
         if w.stature and self.stature is not None:
@@ -200,11 +230,14 @@ class Objective:
             out["stature"] = w.stature * 1e4 * (mean + slope @ betas - self.stature) ** 2
         if self.pairs is not None:
             s = self.settings.silhouette
-            out["silhouette"] = s.weight * self.pairs.loss(transforms, betas, translation, s.sigma)
+            clothing = self.variables["clothing"] * self.scales["clothing"]
+            distance = self.pairs.loss(transforms, betas, translation, projections, clothing, s.sigma)
+            out["silhouette"] = s.weight * distance
+            if s.clothing_weight:
+                out["clothing"] = s.clothing_weight * 1e4 * (clothing**2).mean()
         return out
 
-    def _data(self, points: Tensor) -> Tensor:
-        P = self.projections
+    def _data(self, points: Tensor, P: Tensor) -> Tensor:
         q = torch.einsum("cij,tkj->ctki", P[..., :3], points) + P[:, None, None, :, 3]
         square = ((q[..., :2] / q[..., 2:].clamp_min(1e-3) - self.points) ** 2).sum(-1) / self.unit[..., None] ** 2
         return (self.weight * geman_mcclure(square, self.settings.sigma)).sum() / self.total
@@ -217,6 +250,21 @@ class Objective:
         return (self.world_weight * robust).sum() / self.world_weight.sum().clamp_min(1e-9)
 
 
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """What a fit found.
+
+    Attributes:
+        motion: shape and poses, float32.
+        cameras: the cameras fitted to, with their turns.
+        history: the value of every term after the keypoint epochs and after each silhouette round.
+    """
+
+    motion: BodyMotion
+    cameras: tuple[Camera, ...]
+    history: list[dict[str, float]]
+
+
 def fit_body(
     model: BodyModel,
     seen: Observations,
@@ -225,7 +273,7 @@ def fit_body(
     *,
     silhouettes: Silhouettes | None = None,
     stature: float | None = None,
-) -> tuple[BodyMotion, list[dict[str, float]]]:
+) -> Fit:
     """Fit one shape and T poses.
 
     Args:
@@ -237,7 +285,7 @@ def fit_body(
         stature: the subject's height in metres, if known.
 
     Returns:
-        the motion (float32), and the value of every term after the keypoint epochs and after each silhouette round.
+        motion, cameras and the course of the terms.
 
     Raises:
         NumericalError: a term became NaN or infinite, naming it.
@@ -257,7 +305,7 @@ def fit_body(
         unit = seen.box_height() / 100
         for _ in range(settings.silhouette.rounds):
             vertices = posed_vertices(model, skeleton, objective.poses())
-            objective.pairs = match(model, skeleton, silhouettes, vertices, unit, seen.cameras)
+            objective.pairs = match(model, skeleton, silhouettes, vertices, unit, objective.cameras())
             history.append(
                 minimise(
                     objective.terms, objective.parameters, steps=1, iterations=settings.silhouette.iterations,
@@ -267,7 +315,8 @@ def fit_body(
     with torch.no_grad():
         end = objective.poses()
         pose = matrix_to_axis_angle(skeleton.full_rotations(end.rotations, len(model.J_template)))
-    return BodyMotion(end.betas.float(), pose.float(), end.translation.float(), end.offsets.float()), history
+    motion = BodyMotion(end.betas.float(), pose.float(), end.translation.float(), end.offsets.float())
+    return Fit(motion, objective.cameras(), history)
 
 
 @torch.no_grad()

@@ -3,6 +3,10 @@
 Each round renders the body, matches boundary pixels of body and mask in both directions (near, with a like normal), and
 fixes the pairs; the fit then minimises the distance of the body's surface points to the mask's tangents. Both
 boundaries are traced at the same resolution in the same way, so their half-pixel biases cancel.
+
+A mask also holds hair and clothes. Their thickness over the body, one number per point of a coarse set of nodes and
+constant over the clip, is estimated with the pose and then thrown away: without it limbs are shifted, and the shape
+bloated, to explain a hem.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ from soar.body.skeleton import Skeleton
 from soar.geometry.cameras import Camera
 from soar.raster import Pinhole, rasterise_mesh
 
+NODES_NEAR = 8  # clothing nodes that a point of the body listens to
 MARGIN = 3  # pixels around a mask's window, and at the image border, where outlines do not count
 
 
@@ -39,6 +44,9 @@ class SilhouetteSettings:
         stride: every how many boundary pixels one is used.
         normal_weight: distance that a unit difference of normals is worth in matching.
         limit: longest distance of a pair.
+        clothing_weight: of the mean squared clothing, centimetres squared; 0 = the outline is the body's.
+        clothing_nodes: points of the body between which clothing is interpolated.
+        clothing_sigma_m: width of that interpolation, metres.
     """
 
     weight: float
@@ -50,6 +58,9 @@ class SilhouetteSettings:
     stride: int
     normal_weight: float
     limit: float
+    clothing_weight: float
+    clothing_nodes: int
+    clothing_sigma_m: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,28 +161,55 @@ class Pairs:
     Attributes:
         rest, dirs: (T, P, 3) and (T, P, 3, B): the body point in rest space.
         weights: (T, P, A) skin weights over the active joints.
-        projection: (T, P, 3, 4) pixels from world, of the pair's camera.
+        nodes, shares: (T, P, k) clothing nodes near the body point, and their weights; rows sum to one.
+        camera: (T, P) long, the pair's camera.
+        focal: (T, P) its focal length in pixels.
         target, normal: (T, P, 2) point and outward normal of the mask's outline, pixels.
-        weight: (T, P) 1 / number of pairs of the image, 0 for padding; divided by the unit squared.
+        unit: (T, P) pixels per percent of the person's box height.
+        weight: (T, P) 1 / number of pairs of the image and of images; 0 for padding.
     """
 
     rest: Tensor
     dirs: Tensor
     weights: Tensor
-    projection: Tensor
+    nodes: Tensor
+    shares: Tensor
+    camera: Tensor
+    focal: Tensor
     target: Tensor
     normal: Tensor
     unit: Tensor
     weight: Tensor
 
-    def loss(self, transforms: Tensor, betas: Tensor, translation: Tensor, sigma: float) -> Tensor:
-        """Mean robust squared distance, percent squared, at transforms (T, A, 3, 4) and translation (T, 3)."""
+    def loss(
+        self,
+        transforms: Tensor,
+        betas: Tensor,
+        translation: Tensor,
+        projections: Tensor,
+        clothing: Tensor,
+        sigma: float,
+    ) -> Tensor:
+        """Mean robust squared distance of the outlines, percent squared.
+
+        Args:
+            transforms: (T, A, 3, 4) skinning transforms.
+            betas: (B,).
+            translation: (T, 3) metres.
+            projections: (C, 3, 4) pixels from world.
+            clothing: (nodes,) thickness over the body, metres.
+            sigma: Geman-McClure scale, percent.
+        """
         blend = (self.weights @ transforms.flatten(-2)).unflatten(-1, (3, 4))
         points = (blend[..., :3] @ (self.rest + self.dirs @ betas)[..., None]).squeeze(-1) + blend[..., 3]
         world = points + translation[:, None]
-        q = (self.projection[..., :3] @ world[..., None]).squeeze(-1) + self.projection[..., 3]
-        distance = ((q[..., :2] / q[..., 2:].clamp_min(1e-3) - self.target) * self.normal).sum(-1) / self.unit
-        return (self.weight * geman_mcclure(distance**2, sigma)).sum()
+        P = projections[self.camera]
+        q = (P[..., :3] @ world[..., None]).squeeze(-1) + P[..., 3]
+        depth = q[..., 2:].clamp_min(1e-3)
+        distance = ((q[..., :2] / depth - self.target) * self.normal).sum(-1)
+        # At an outline the surface is seen edge-on, so thickness moves it along the outline's normal.
+        thickness = (self.shares * clothing[self.nodes]).sum(-1) * self.focal / depth[..., 0].detach()
+        return (self.weight * geman_mcclure(((distance + thickness) / self.unit) ** 2, sigma)).sum()
 
 
 def match(
@@ -210,10 +248,12 @@ def match(
     carried = skeleton.carried(model.weights)
     out = {
         "rest": like.new_zeros(T, P, 3), "dirs": like.new_zeros(T, P, 3, B), "weights": like.new_zeros(T, P, A),
-        "projection": like.new_zeros(T, P, 3, 4), "target": like.new_zeros(T, P, 2), "normal": like.new_zeros(T, P, 2),
+        "nodes": torch.zeros(T, P, NODES_NEAR, dtype=torch.long), "shares": like.new_zeros(T, P, NODES_NEAR),
+        "camera": torch.zeros(T, P, dtype=torch.long), "focal": like.new_ones(T, P),
+        "target": like.new_zeros(T, P, 2), "normal": like.new_zeros(T, P, 2),
         "unit": like.new_ones(T, P), "weight": like.new_zeros(T, P),
     }  # fmt: skip
-    projections = [like.new_tensor(c.K @ c.T_cam_from_world[:3]) for c in cameras]
+    nodes, shares = clothing_nodes(like, settings)
     for t, images in enumerate(frames):
         start = 0
         for c, body, a, mask, b in images:
@@ -223,15 +263,31 @@ def match(
             out["rest"][t, rows] = (weights * model.v_template[corners]).sum(1)
             out["dirs"][t, rows] = (weights[..., None] * model.shapedirs[corners]).sum(1)
             out["weights"][t, rows] = (weights * carried[corners]).sum(1)
-            out["projection"][t, rows] = projections[c]
+            # The triangle's first corner stands for the point: nodes are farther apart than a triangle is wide.
+            out["nodes"][t, rows], out["shares"][t, rows] = nodes[corners[:, 0]], shares[corners[:, 0]]
+            out["camera"][t, rows] = c
+            out["focal"][t, rows] = float(cameras[c].K[0, 0])
             out["target"][t, rows] = like.new_tensor(mask.points[b])
             out["normal"][t, rows] = like.new_tensor(mask.normals[b])
             out["unit"][t, rows] = float(unit[c, t])
             out["weight"][t, rows] = 1 / (len(a) * used)
             start += len(a)
-        # Padding projects to a harmless depth.
-        out["projection"][t, start:, 2, 3] = 1
     return Pairs(**out)
+
+
+def clothing_nodes(vertices: Tensor, settings: SilhouetteSettings) -> tuple[Tensor, Tensor]:
+    """The ``k`` nodes nearest to each rest vertex (V, 3), as places in the list of nodes (V, k), and their weights.
+
+    Nodes are vertices that lie as far from each other as possible.
+    """
+    chosen, distance = [0], (vertices - vertices[0]).norm(dim=1)
+    for _ in range(settings.clothing_nodes - 1):
+        chosen.append(int(distance.argmax()))
+        distance = torch.minimum(distance, (vertices - vertices[chosen[-1]]).norm(dim=1))
+    points = vertices.numpy()
+    apart, near = cKDTree(points[chosen]).query(points, k=NODES_NEAR)
+    shares = vertices.new_tensor(np.exp(-((apart / settings.clothing_sigma_m) ** 2) / 2) + 1e-12)
+    return torch.from_numpy(near).long(), shares / shares.sum(1, keepdim=True)
 
 
 def _pair(body: Outline, mask: Outline, unit: float, settings: SilhouetteSettings) -> tuple[np.ndarray, np.ndarray]:

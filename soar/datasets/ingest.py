@@ -214,13 +214,18 @@ def _subject(capture: Capture, stored: Camera, ids: range) -> Subject:
     if settings.box is not None:
         x0, y0, x1, y1 = settings.box
         if x0 >= x1 or y0 >= y1:
-            raise SubjectError("dataset.subject.box", expected="x0 < x1 and y0 < y1", got=str(settings.box))
+            raise SubjectError(
+                "dataset.subject.box", expected="x0 < x1 and y0 < y1", got=str(settings.box), cure="correct the box"
+            )
         corners = undistort_points(camera, _inside("box", (x0, y0, x1, y1, x0, y1, x1, y0), size)) * scale
         box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
     frame = ids[0] if settings.frame is None else settings.frame
     if not ids[0] <= frame <= ids[-1]:
         raise SubjectError(
-            "dataset.subject.frame is not among the chosen frames", expected=f"{ids[0]} to {ids[-1]}", got=str(frame)
+            "dataset.subject.frame is not among the chosen frames",
+            expected=f"{ids[0]} to {ids[-1]}",
+            got=str(frame),
+            cure="name a frame of the recording in that range",
         )
     if settings.stature_m is not None and not 0.4 < settings.stature_m < 2.8:
         raise ConfigError("dataset.subject.stature_m", expected="metres, such as 1.75", got=str(settings.stature_m))
@@ -237,6 +242,9 @@ def _inside(field: str, values: tuple[float, ...], size: tuple[int, int]) -> np.
     points = np.array(values, np.float64).reshape(-1, 2)
     if not ((points >= 0) & (points <= size)).all():
         raise SubjectError(
-            f"dataset.subject.{field} is outside the picture", expected=f"within {size[0]}x{size[1]}", got=str(values)
+            f"dataset.subject.{field} is outside the picture",
+            expected=f"within {size[0]}x{size[1]}",
+            got=str(values),
+            cure="give pixels of the recording as a player shows it",
         )
     return points

@@ -143,7 +143,11 @@ class VideoFile:
         with self._open() as capture:
             for position in range(last + 1):
                 if not capture.grab():
-                    raise InputError(f"{self.path} ends before frame {position}", expected=f"{last + 1} frames")
+                    raise InputError(
+                        f"{self.path} ends before frame {position}",
+                        expected=f"{last + 1} frames",
+                        cure="copy the file again; if it was replaced since the frames were chosen, run snakemake",
+                    )
                 if position in wanted:
                     decoded, image = capture.retrieve()
                     if not decoded:
@@ -163,16 +167,25 @@ class ImageFolder:
     def _numbered(self) -> tuple[tuple[int, Path], ...]:
         images = [p for p in self.path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
         if not images:
-            raise InputError(f"{self.path} holds no images", expected=f"files ending in {', '.join(IMAGE_SUFFIXES)}")
+            raise InputError(
+                f"{self.path} holds no images",
+                expected=f"files ending in {', '.join(IMAGE_SUFFIXES)}",
+                cure="put the frames there, or name the folder that holds them",
+            )
         found: dict[int, Path] = {}
         for image in images:
             digits = re.findall(r"\d+", image.stem)
             if not digits:
-                raise InputError(f"{image} has no frame number in its name", expected="a name such as frame_000012.jpg")
+                raise InputError(
+                    f"{image} has no frame number in its name",
+                    expected="a name such as frame_000012.jpg",
+                    cure="rename it, or move it elsewhere if it is no frame",
+                )
             other = found.setdefault(int(digits[-1]), image)
             if other != image:
                 raise InputError(
-                    f"{self.path}: {other.name} and {image.name} carry the same frame number {int(digits[-1])}"
+                    f"{self.path}: {other.name} and {image.name} carry the same frame number {int(digits[-1])}",
+                    cure="keep one of the two",
                 )
         return tuple(sorted(found.items()))
 
@@ -201,6 +214,7 @@ class ImageFolder:
                     f"{self.path} mixes image sizes",
                     expected=f"{probe.width}x{probe.height} as in {files[0].name}",
                     got=f"{image.shape[1]}x{image.shape[0]} in {files[position].name}",
+                    cure="export the frames again at one size",
                 )
             yield image
 

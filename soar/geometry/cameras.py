@@ -87,6 +87,12 @@ class Camera:
         K[1, 2] -= y0
         return dataclasses.replace(self, width=width, height=height, K=K)
 
+    def turned(self, rotation: np.ndarray) -> Camera:
+        """The camera turned about its own centre by ``rotation`` (3, 3), turned camera from this one."""
+        T = np.eye(4)
+        T[:3, :3] = rotation
+        return dataclasses.replace(self, T_cam_from_world=T @ self.T_cam_from_world)
+
     def to_json(self) -> dict[str, Any]:
         """A plain mapping that :meth:`from_json` reads back."""
         return {

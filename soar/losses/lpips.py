@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from pathlib import Path
 from typing import Literal
 
 import torch
@@ -16,7 +17,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from soar.artifacts import read_tensors
-from soar.errors import ModelFileError
+from soar.errors import ArtifactError, ModelFileError
+from soar.models import records
+from soar.models.catalogue import fetch_command
 
 Features = list[Tensor]
 Net = Literal["alex", "vgg"]
@@ -93,8 +96,18 @@ class Lpips(nn.Module):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], net: Net) -> Lpips:
-        """Read the weights from a safetensors file; raises ArtifactError or ModelFileError for an unusable one."""
-        return cls(net, read_tensors(path)[0])
+        """Read the weights from a safetensors file.
+
+        Raises:
+            ModelFileError: the file is missing, truncated, altered since it was installed, or of another network.
+        """
+        path = Path(path)
+        try:
+            records.check(path.parent, path.name)
+            tensors, _ = read_tensors(path)
+        except ArtifactError as error:
+            raise ModelFileError(error.what, cure=f"delete the file and run {fetch_command(path.name)}") from error
+        return cls(net, tensors)
 
     def features(self, images: Tensor) -> Features:
         """Unit-length feature vectors of the five taps.

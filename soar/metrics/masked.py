@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import torch
 
-from soar.losses.lpips import Lpips
+from soar.losses.lpips import Features, Lpips
 from soar.metrics.image import C1, C2, decibel
 
 
@@ -50,12 +50,15 @@ def mssim(image: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float:
     return masked_mean(value, m[5:-5, 5:-5] * seen)
 
 
-def mlpips(image: np.ndarray, truth: np.ndarray, mask: np.ndarray, lpips: Lpips) -> float:
-    """LPIPS of (H, W, 3) images inside a mask (H, W): both black outside it, the distance map averaged inside it."""
-    planes = np.stack([image, truth]) * mask[None, ..., None]
-    with torch.no_grad():
-        features = lpips.features(torch.from_numpy(np.ascontiguousarray(planes.transpose(0, 3, 1, 2), np.float32)))
-        spread = lpips.spatial([f[:1] for f in features], [f[1:] for f in features], mask.shape)
+def lpips_features(image: np.ndarray, lpips: Lpips, mask: np.ndarray | None = None) -> Features:
+    """LPIPS features of an image (H, W, 3) in [0, 1], made black outside a mask (H, W) if there is one."""
+    shown = image if mask is None else image * mask[..., None]
+    return lpips.features(torch.from_numpy(np.ascontiguousarray(shown.transpose(2, 0, 1), np.float32))[None])
+
+
+def mlpips(image: Features, truth: Features, mask: np.ndarray, lpips: Lpips) -> float:
+    """LPIPS inside a mask (H, W), given the :func:`lpips_features` of both images in it: its map averaged there."""
+    spread = lpips.spatial(image, truth, mask.shape)
     return masked_mean(spread[0, 0].numpy().astype(np.float64), mask)
 
 

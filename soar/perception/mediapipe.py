@@ -37,7 +37,7 @@ class MediaPipeSettings:
     """Settings of :class:`MediaPipeKeypoints`; see ``conf/keypoints/mediapipe.yaml``."""
 
     provider: Literal["mediapipe"]
-    model: Literal["lite", "full", "heavy"]
+    model: Literal["full", "heavy"]
     min_detection: float
     min_frames: int
     min_tracked: float

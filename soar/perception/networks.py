@@ -8,6 +8,7 @@ import numpy as np
 
 from soar.errors import ModelFileError
 from soar.models import onnx
+from soar.models.catalogue import fetch_command
 
 
 class Network:
@@ -39,7 +40,7 @@ class Network:
                 f"{path} has other outputs than expected",
                 expected=str(missing),
                 got=str(offered),
-                cure="delete the file and run `python -m soar models`; check the configured model name",
+                cure=f"delete the file and run {fetch_command(path.name)}; check the configured model name",
             )
         self._input, self.size = inputs[0].name, int(inputs[0].shape[1])
 

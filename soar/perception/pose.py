@@ -84,7 +84,7 @@ def refine(points: np.ndarray, heatmap: np.ndarray) -> np.ndarray:
 
 
 class PoseNetwork:
-    """``pose_landmark_{lite,full,heavy}.onnx``.
+    """``pose_landmark_{full,heavy}.onnx``.
 
     Args:
         path: the network file.

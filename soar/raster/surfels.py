@@ -45,12 +45,8 @@ def rasterise(
         InputError: shapes do not fit each other.
         ConfigError: the backend cannot be had.
     """
-    surfels = (positions, normals, scales, colours, occlusion)
-    _check(*surfels)
-    if choose(settings.backend, *surfels) == "native":
-        front, back = _Splat.apply(*surfels, pinhole, settings, side == "front", side == "back")
-        return Rendered(front if side == "front" else back)
-    return reference.rasterise(*surfels, pinhole, side, settings.lowpass_px2, settings.compensate, settings.cull)
+    (rendered,) = _passes((positions, normals, scales, colours, occlusion), pinhole, settings, side)
+    return rendered
 
 
 def rasterise_both(
@@ -64,16 +60,20 @@ def rasterise_both(
     settings: RasterSettings,
 ) -> tuple[Rendered, Rendered]:
     """Front and back pass of one view (see :func:`rasterise`), projecting the surfels once where the backend can."""
-    surfels = (positions, normals, scales, colours, occlusion)
+    front, back = _passes((positions, normals, scales, colours, occlusion), pinhole, settings, "front", "back")
+    return front, back
+
+
+def _passes(
+    surfels: tuple[Tensor, Tensor, Tensor, Tensor, Tensor], pinhole: Pinhole, settings: RasterSettings, *sides: Side
+) -> list[Rendered]:
+    """One render per side, in the order of ``sides``."""
     _check(*surfels)
     if choose(settings.backend, *surfels) == "native":
-        front, back = _Splat.apply(*surfels, pinhole, settings, True, True)
-        return Rendered(front), Rendered(back)
+        front, back = _Splat.apply(*surfels, pinhole, settings, sides)
+        return [Rendered(front if side == "front" else back) for side in sides]
     filter = (settings.lowpass_px2, settings.compensate, settings.cull)
-    return (
-        reference.rasterise(*surfels, pinhole, "front", *filter),
-        reference.rasterise(*surfels, pinhole, "back", *filter),
-    )
+    return [reference.rasterise(*surfels, pinhole, side, *filter) for side in sides]
 
 
 def _check(positions: Tensor, normals: Tensor, scales: Tensor, colours: Tensor, occlusion: Tensor) -> None:
@@ -93,10 +93,10 @@ class _Splat(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *arguments: Any) -> tuple[Tensor | None, Tensor | None]:
-        *surfels, pinhole, settings, want_front, want_back = arguments
+        *surfels, pinhole, settings, sides = arguments
         surfels = [t.detach().contiguous() for t in surfels]
         shape = (CHANNELS, pinhole.height, pinhole.width)
-        front, back = (surfels[0].new_empty(shape) if want else None for want in (want_front, want_back))
+        front, back = (surfels[0].new_empty(shape) if side in sides else None for side in ("front", "back"))
         intrinsics = torch.tensor([pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy], dtype=torch.float32)
         native = library()
         handle = native.soar_surfels_forward(
@@ -124,7 +124,7 @@ class _Splat(torch.autograd.Function):
         )  # fmt: skip
         if not done:
             raise MemoryError(f"the gradient of {len(surfels[0])} surfels ran out of memory")
-        return *gradients, None, None, None, None
+        return *gradients, None, None, None
 
 
 class _Context:

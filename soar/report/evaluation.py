@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Literal
 
 import numpy as np
-import torch
 
 from soar.losses.lpips import Lpips
 from soar.metrics.colour import ColourMap
 from soar.metrics.image import psnr, ssim
-from soar.metrics.masked import iou, mlpips, mpsnr
+from soar.metrics.masked import iou, lpips_features, mlpips, mpsnr
 from soar.report.pictures import composite
 from soar.report.shots import Shot
 
@@ -111,39 +110,67 @@ def regions(truth: Truth, shots: Mapping[str, Shot], reference: str, threshold: 
 
 
 def score(
-    shot: Shot, truth: Truth, parts: Regions, colours: ColourMap, lpips: Lpips, settings: EvaluateSettings
-) -> dict[str, float]:
-    """All :data:`METRICS` of one image.
+    shots: Mapping[str, Shot],
+    truth: Truth,
+    parts: Regions,
+    colours: Mapping[str, ColourMap],
+    lpips: Lpips,
+    settings: EvaluateSettings,
+) -> dict[str, dict[str, float]]:
+    """All :data:`METRICS` of every method's image of one frame.
 
     Whole-image figures are of the crop on white. Figures of a region compare colours that no background is mixed into,
     since silhouettes are the IoU's business; a region of fewer than ``min_pixels`` pixels has none (NaN).
 
     Args:
-        shot: the rendered avatar.
+        shots: the rendered avatar of each method.
         truth: the photograph at the same size.
         parts: where colours are compared.
-        colours: the map fitted to this method's pixels in this camera.
+        colours: the map fitted to each method's pixels in this camera.
         lpips: the perceptual distance.
         settings: see :class:`EvaluateSettings`.
     """
-    image, calibrated = shot.on_white(), composite(colours(shot.colour), shot.alpha)
     target = truth.on_white()
-    result = {
-        "psnr": psnr(image, target),
-        "ssim": ssim(image, target, settings.ssim),
-        "lpips": _lpips(lpips, image, target),
-        "masked_lpips": _lpips(lpips, shot.colour * parts.both[..., None], truth.rgb * parts.both[..., None]),
-        "iou": iou(shot.alpha, truth.alpha),
-        "psnr_calibrated": psnr(calibrated, target),
+    large = {
+        name: mask.astype(np.float32)
+        for name, mask in (("visible", parts.visible), ("occluded", parts.occluded))
+        if np.count_nonzero(mask) >= settings.min_pixels
     }
-    for name, mask in (("visible", parts.visible), ("occluded", parts.occluded)):
-        enough = np.count_nonzero(mask) >= settings.min_pixels
-        weights = mask.astype(np.float32)
-        result[f"{name}_mpsnr"] = mpsnr(shot.colour, truth.rgb, weights) if enough else math.nan
-        result[f"{name}_mlpips"] = mlpips(shot.colour, truth.rgb, weights, lpips) if enough else math.nan
-        result[f"{name}_mpsnr_calibrated"] = mpsnr(colours(shot.colour), truth.rgb, weights) if enough else math.nan
-    limited = {name: DECIBEL_LIMIT if METRICS[name].unit == "dB" else math.inf for name in METRICS}
-    return {name: float(min(result[name], limit)) for name, limit in limited.items()}
+    result = {method: dict.fromkeys(METRICS, math.nan) for method in shots}
+    for method, shot in shots.items():
+        image, calibrated = shot.on_white(), colours[method](shot.colour)
+        result[method] |= {
+            "psnr": psnr(image, target),
+            "ssim": ssim(image, target, settings.ssim),
+            "iou": iou(shot.alpha, truth.alpha),
+            "psnr_calibrated": psnr(composite(calibrated, shot.alpha), target),
+        }
+        for name, mask in large.items():
+            result[method][f"{name}_mpsnr"] = mpsnr(shot.colour, truth.rgb, mask)
+            result[method][f"{name}_mpsnr_calibrated"] = mpsnr(calibrated, truth.rgb, mask)
+    for name, method, value in _perceptual(shots, truth, parts.both, large, lpips):
+        result[method][name] = value
+    limits = {name: DECIBEL_LIMIT if metric.unit == "dB" else math.inf for name, metric in METRICS.items()}
+    return {m: {name: float(min(row[name], limit)) for name, limit in limits.items()} for m, row in result.items()}
+
+
+def _perceptual(
+    shots: Mapping[str, Shot], truth: Truth, both: np.ndarray, large: Mapping[str, np.ndarray], lpips: Lpips
+) -> Iterator[tuple[str, str, float]]:
+    """Metric, method and value of everything that is LPIPS.
+
+    The network is what evaluation waits for, so it sees each picture of the photograph once for all methods.
+    """
+    target = lpips_features(truth.on_white(), lpips)
+    for method, shot in shots.items():
+        yield "lpips", method, float(lpips.distance(lpips_features(shot.on_white(), lpips), target))
+    target = lpips_features(truth.rgb, lpips, both)
+    for method, shot in shots.items():
+        yield "masked_lpips", method, float(lpips.distance(lpips_features(shot.colour, lpips, both), target))
+    for name, mask in large.items():
+        target = lpips_features(truth.rgb, lpips, mask)
+        for method, shot in shots.items():
+            yield f"{name}_mlpips", method, mlpips(lpips_features(shot.colour, lpips, mask), target, mask, lpips)
 
 
 def means(rows: Iterable[Mapping[str, float]]) -> dict[str, float | None]:
@@ -154,9 +181,3 @@ def means(rows: Iterable[Mapping[str, float]]) -> dict[str, float | None]:
         values = [row[name] for row in table if not math.isnan(row[name])]
         result[name] = sum(values) / len(values) if values else None
     return result
-
-
-def _lpips(distance: Lpips, image: np.ndarray, target: np.ndarray) -> float:
-    planes = [torch.from_numpy(np.ascontiguousarray(x.transpose(2, 0, 1), np.float32))[None] for x in (image, target)]
-    with torch.no_grad():
-        return float(distance(*planes)[0])

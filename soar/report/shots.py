@@ -6,6 +6,8 @@ import dataclasses
 
 import numpy as np
 
+from soar.avatar.puppet import Puppet
+from soar.optimise.views import Views
 from soar.raster import Rendered
 from soar.report.pictures import colour_normals, colour_occlusion, composite
 
@@ -39,6 +41,11 @@ class Shot:
             np.where(share > 0, normal / np.maximum(length, 1e-6), 0.0),
             np.clip(rendered.occlusion.detach().cpu().numpy() * share[..., 0], 0.0, 1.0),
         )
+
+    @staticmethod
+    def beside(views: Views, index: int, puppet: Puppet) -> Shot:
+        """The avatar at the instant and through the camera of crop ``index``."""
+        return Shot.of(puppet.render(int(views.frames[index]), views.T_cam_from_world, views.pinhole(index)))
 
     def on_white(self) -> np.ndarray:
         """(H, W, 3) float32 picture on white."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from soar.artifacts import ImageArchive, write_image
+from soar.artifacts import ImageArchive, write_image, write_json
 from soar.body import measure, pictures
-from soar.body.fit import FitSettings, fit_body
+from soar.body.calibrate import angle_between
+from soar.body.fit import Fit, FitSettings, fit_body
 from soar.body.initial import points_from_world, pose_from_points
 from soar.body.motion import BodyMotion
 from soar.body.observations import Observations
@@ -35,27 +37,35 @@ CELL = (300, 420)  # width and height of a picture on the sheet, pixels
 def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> None:
     """Write the fitted motion, its figures, and the body drawn over frames of every camera."""
     sequence = Sequence.read(inputs["sequence"])
-    options = settings(FitSettings, cfg["body"], "body")
+    alone = (cfg["body"]["cameras"] == "train" and len(sequence.train) == 1) or len(sequence.cameras) == 1
+    options = settings(FitSettings, monocular(cfg) if alone else cfg["body"], "body")
     model = BodyModel.load(inputs["body_model"])
     everyone = observe(inputs, calibrated(inputs, sequence), options.min_confidence)
     used = everyone.select(sequence.train) if options.cameras == "train" else everyone
     masks = archives(inputs["masks"], sequence.names, len(sequence))
-    motion, history = fitted(model, used, masks, options, sequence.subject.stature_m)
+    found = fitted(model, used, masks, options, sequence.subject.stature_m)
+    turned = {camera.name: camera for camera in found.cameras}
+    cameras = tuple(turned.get(camera.name, camera) for camera in everyone.cameras)
+    motion = found.motion
     motion.write(outputs["body"])
+    write_json(outputs["cameras"], {"cameras": [camera.to_json() for camera in cameras]})
+    given, everyone = everyone.cameras, dataclasses.replace(everyone, cameras=cameras)
     frames = archives(inputs["frames"], sequence.names, len(sequence))
     write_image(outputs["evidence"], sheet(model, motion, everyone, frames, sequence.frame_ids))
     health = Health("body")
     figures(health, model, motion, everyone, masks, options.silhouette.threshold)
-    for name, value in history[-1].items():
+    for name, value in found.history[-1].items():
         health.add(f"term_{name}", value)
-    if len(used.cameras) == 1:
+    for before, after in zip(given, cameras, strict=True):
+        health.add(f"turned/{after.name}", np.degrees(angle_between(before.R, after.R)), "degrees")
+    if alone:
         health.remark("Fitted to one camera: depth, leaning towards the camera and stature are guesses.")
     health.write(outputs["health"])
 
 
 def fitted(
     model: BodyModel, seen: Observations, masks: Mapping[str, ImageArchive], options: FitSettings, stature: float | None
-) -> tuple[BodyMotion, list[dict[str, float]]]:
+) -> Fit:
     """Start from triangulated points, or from metric landmarks where there is one camera, and fit."""
     if len(seen.cameras) > 1:
         unit = (seen.box_height() / 100)[..., None]
@@ -67,6 +77,16 @@ def fitted(
     if options.silhouette.weight > 0:
         outlines = Silhouettes(seen.cameras, [masks[c.name] for c in seen.cameras], options.silhouette)
     return fit_body(model, seen, start, options, silhouettes=outlines, stature=stature)
+
+
+def monocular(cfg: Mapping[str, Any]) -> dict[str, Any]:
+    """The node ``body`` with what the node ``monocular`` changes; a key that it lacks fails the settings' check."""
+
+    def overlaid(node: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+        nested = {k: overlaid(node[k], v) for k, v in over.items() if isinstance(v, Mapping) and k in node}
+        return {**node, **over, **nested}
+
+    return overlaid(cfg["body"], cfg["monocular"])
 
 
 def figures(

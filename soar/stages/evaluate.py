@@ -13,6 +13,7 @@ import numpy as np
 
 from soar.artifacts import read_npz, write_image, write_json, write_text
 from soar.avatar.puppet import Puppet
+from soar.avatar.surfels import Avatar
 from soar.config import settings
 from soar.datasets.sequence import Sequence
 from soar.health import Health
@@ -26,7 +27,7 @@ from soar.report.evaluation import METRICS, EvaluateSettings, Regions, Truth, me
 from soar.report.pictures import grid
 from soar.report.shots import Shot
 from soar.stages import Job
-from soar.stages._puppets import puppets
+from soar.stages._rig import Rig
 
 _OURS = "ours"
 
@@ -35,7 +36,8 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
     """Write the means per camera, the table of frames, the comparison sheet, evidence and health."""
     options = settings(EvaluateSettings, cfg["evaluate"], "evaluate")
     sequence = Sequence.read(inputs["sequence"])
-    ours, paint = puppets(inputs, cfg, "avatar", "paint")
+    rig = Rig.read(inputs, cfg)
+    ours, paint = (rig.puppet(Avatar.read(inputs[name])) for name in ("avatar", "paint"))
     lpips = Lpips.load(inputs["models"] / f"lpips_{options.lpips}.safetensors", options.lpips)
     cameras: dict[str, Any] = {}
     table: list[dict[str, Any]] = []
@@ -79,20 +81,15 @@ class _Camera:
         self.colours = self._calibrate()
 
     def look(self, index: int) -> tuple[Truth, dict[str, Shot], Regions]:
-        views, frame = self.views, int(self.views.frames[index])
-        truth = Truth.of(views.rgb[index], views.alpha[index])
-        shots = {
-            method: Shot.of(puppet.render(frame, views.T_cam_from_world, views.pinhole(index)))
-            for method, puppet in self.puppets.items()
-        }
+        truth = Truth.of(self.views.rgb[index], self.views.alpha[index])
+        shots = {method: Shot.beside(self.views, index, puppet) for method, puppet in self.puppets.items()}
         return truth, shots, regions(truth, shots, _OURS, self.options.occlusion_threshold)
 
     def scores(self, lpips: Lpips) -> Iterator[tuple[int, str, dict[str, float]]]:
         """Frame position in the clip, method, and its scores."""
         for index in track(self.indices, f"evaluate {self.views.camera}", len(self.indices)):
             truth, shots, parts = self.look(index)
-            for method, shot in shots.items():
-                scores = score(shot, truth, parts, self.colours[method], lpips, self.options)
+            for method, scores in score(shots, truth, parts, self.colours, lpips, self.options).items():
                 yield int(self.views.frames[index]), method, scores
 
     def _calibrate(self) -> dict[str, ColourMap]:

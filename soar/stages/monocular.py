@@ -23,42 +23,31 @@ from soar.datasets.sequence import Sequence
 from soar.geometry.cameras import Camera
 from soar.health import Health
 from soar.report.pictures import fit, grid
-from soar.stages import Job
+from soar.stages import Job, body
 from soar.stages._subject import archives, calibrated, observe, spread
-from soar.stages.body import CELL, SHOWN, figures, fitted
 
 
 def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> None:
     """Write the one-camera motion, its distance to the reference, and both bodies from the side."""
     sequence = Sequence.read(inputs["sequence"])
-    options = settings(FitSettings, _overlaid(cfg["body"], cfg["monocular"]), "monocular")
+    options = settings(FitSettings, body.monocular(cfg), "monocular")
     model = BodyModel.load(inputs["body_model"])
     everyone = observe(inputs, calibrated(inputs, sequence), options.min_confidence)
     alone = everyone.select(sequence.train[:1])
     (camera,) = alone.cameras
     masks = archives(inputs["masks"], sequence.names, len(sequence))
-    motion, _ = fitted(model, alone, masks, options, sequence.subject.stature_m)
+    motion = body.fitted(model, alone, masks, options, sequence.subject.stature_m).motion
     motion.write(outputs["body"])
 
     reference = BodyMotion.read(inputs["reference"])
     health = Health("monocular")
-    figures(health, model, motion, alone, masks, options.silhouette.threshold)
+    body.figures(health, model, motion, alone, masks, options.silhouette.threshold)
     _against(health, model, motion, reference, camera)
     if len(sequence.cameras) == 1:
         health.remark("The sequence has one camera: the reference is itself a one-camera fit.")
     health.write(outputs["health"])
     frames = ImageArchive(inputs["frames"] / f"{camera.name}.zip")
     write_image(outputs["evidence"], _sheet(model, motion, reference, camera, frames, sequence))
-
-
-def _overlaid(node: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """The node with the values of ``over`` in place of its own; a key that it lacks fails the settings' check."""
-    out = dict(node)
-    for key, value in over.items():
-        out[key] = (
-            _overlaid(out[key], value) if isinstance(value, Mapping) and isinstance(out.get(key), Mapping) else value
-        )
-    return out
 
 
 def _against(health: Health, model: BodyModel, motion: BodyMotion, reference: BodyMotion, camera: Camera) -> None:
@@ -84,17 +73,17 @@ def _sheet(
     sequence: Sequence,
 ) -> np.ndarray:
     """Above: the body over its own camera's frames. Below: it (orange) and the reference (blue) from the side."""
-    shown = spread(len(motion), SHOWN)
+    shown = spread(len(motion), body.SHOWN)
     over, side, labels = [], [], []
     for t in shown:
         ours, theirs = (measure.frame_vertices(model, m, t) for m in (motion, reference))
         image = frames[t]
         drawn = pictures.draw_body(image, camera, ours, model, pictures.ORANGE)
-        over.append(fit(drawn[pictures.window(camera.project(ours), image.shape[:2], 0.08)], *CELL))
+        over.append(fit(drawn[pictures.window(camera.project(ours), image.shape[:2], 0.08)], *body.CELL))
         view = pictures.side_camera(camera, theirs.mean(0), sequence.up)
         both = pictures.draw_pair(view, [theirs, ours], [pictures.BLUE, pictures.ORANGE], model)
         around = np.concatenate([view.project(theirs), view.project(ours)])
-        side.append(fit(both[pictures.window(around, both.shape[:2], 0.08)], *CELL))
+        side.append(fit(both[pictures.window(around, both.shape[:2], 0.08)], *body.CELL))
         labels.append(f"frame {sequence.frame_ids[t]}")
     names = [f"{camera.name}  {name}" for name in labels] + [
         f"from the side, reference blue  {name}" for name in labels

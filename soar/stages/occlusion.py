@@ -20,7 +20,7 @@ from soar.report.orbit import Orbit
 from soar.report.pictures import grid
 from soar.report.shots import Shot
 from soar.stages import Job
-from soar.stages._observed import Observed
+from soar.stages._rig import Observed
 
 _SIZE = 480  # pixels, height of each picture on the evidence sheet
 _SIDES = ("front", "left", "back", "right")

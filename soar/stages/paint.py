@@ -14,7 +14,7 @@ from soar.health import Health
 from soar.optimise.paint import PaintSettings, paint
 from soar.report.pictures import composite, grid
 from soar.stages import Job
-from soar.stages._observed import Observed, agreement
+from soar.stages._rig import Observed, agreement
 
 _SHOWN = 4  # frames of each training camera on the evidence sheet, and in the health numbers
 

@@ -21,7 +21,7 @@ from soar.optimise.checkpoint import Checkpoint
 from soar.optimise.reconstruct import ReconstructSettings, reconstruct
 from soar.report.pictures import composite, grid
 from soar.stages import Job
-from soar.stages._observed import Observed, agreement
+from soar.stages._rig import Observed, agreement
 
 _SHOWN = 4  # frames of each training camera on the evidence sheet
 _JUDGED = 10  # frames of each training camera in the health numbers
@@ -42,6 +42,7 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
     avatar, curves = reconstruct(
         start,
         observed.articulation,
+        observed.body.left,
         observed.views,
         lpips,
         settings(AvatarSettings, cfg["avatar"], "avatar"),

@@ -11,23 +11,21 @@ import numpy as np
 import torch
 
 from soar.artifacts import write_image
-from soar.avatar.articulate import Articulation
 from soar.avatar.puppet import Puppet
 from soar.avatar.surfels import Avatar
-from soar.body.motion import BodyMotion
-from soar.body.record import BodyModel
 from soar.config import settings
 from soar.datasets.sequence import Sequence
 from soar.geometry.rotations import axis_angle_to_matrix
 from soar.health import Health
 from soar.progress import track
-from soar.raster import Pinhole, RasterSettings
+from soar.raster import Pinhole
 from soar.report.footage import RenderSettings, TurntableSettings, crack_share, panels
 from soar.report.orbit import Orbit
 from soar.report.pictures import grid
 from soar.report.shots import Shot
 from soar.report.video import write_video
 from soar.stages import Job
+from soar.stages._rig import Rig
 
 _SHOWN = 8  # angles on the evidence strip
 
@@ -35,11 +33,9 @@ _SHOWN = 8  # angles on the evidence strip
 def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> None:
     """Write the turntable (colour, normals, occlusion), a strip of eight angles, and health."""
     options = settings(RenderSettings, cfg["render"], "render").turntable
-    raster = settings(RasterSettings, cfg["raster"], "raster")
-    sequence, body = Sequence.read(inputs["sequence"]), BodyModel.load(inputs["body_model"])
-    motion, up = _stand(BodyMotion.read(inputs["body"]), body, sequence.up, options)
-    puppet = Puppet(Avatar.read(inputs["avatar"]), Articulation.of(body, motion), raster)
-    front = axis_angle_to_matrix(motion.pose[0, 0]) @ body.front
+    rig, up = _stand(Rig.read(inputs, cfg), Sequence.read(inputs["sequence"]).up, options)
+    puppet = rig.puppet(Avatar.read(inputs["avatar"]))
+    front = axis_angle_to_matrix(rig.motion.pose[0, 0]) @ rig.body.front
     points, _ = puppet.pose(0, torch.eye(4))
     fov = np.deg2rad(options.fov)
     orbit = Orbit.around(points.numpy(), up, front.numpy(), options.height, fov, options.margin)
@@ -55,15 +51,14 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
     health.write(outputs["health"])
 
 
-def _stand(
-    motion: BodyMotion, body: BodyModel, up: np.ndarray, options: TurntableSettings
-) -> tuple[BodyMotion, np.ndarray]:
-    """A motion of one frame, and its up axis."""
+def _stand(rig: Rig, up: np.ndarray, options: TurntableSettings) -> tuple[Rig, np.ndarray]:
+    """A rig that stands still in one frame, and its up axis; ``up`` is the scene's."""
+    t = round(options.frame * (len(rig.motion) - 1))
+    pose, translation = rig.motion.pose[t : t + 1], rig.motion.translation[t : t + 1]
     if options.pose == "canonical":
-        still = dataclasses.replace(motion, pose=body.canonical_pose[None], translation=torch.zeros(1, 3))
-        return still, body.up.double().numpy()
-    t = round(options.frame * (len(motion) - 1))
-    return dataclasses.replace(motion, pose=motion.pose[t : t + 1], translation=motion.translation[t : t + 1]), up
+        pose, translation, up = rig.body.canonical_pose[None], torch.zeros(1, 3), rig.body.up.double().numpy()
+    still = dataclasses.replace(rig.motion, pose=pose, translation=translation)
+    return dataclasses.replace(rig, motion=still), up
 
 
 def _turn(puppet: Puppet, orbit: Orbit, count: int) -> Iterator[Shot]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from soar.artifacts import read_npz
+from soar.avatar.surfels import Avatar
 from soar.config import settings
 from soar.datasets.sequence import Sequence
 from soar.optimise.views import Views
@@ -15,19 +16,19 @@ from soar.report.footage import RenderSettings, panels, thinned
 from soar.report.shots import Shot
 from soar.report.video import write_video
 from soar.stages import Job
-from soar.stages._puppets import puppets
+from soar.stages._rig import Rig
 
 
 def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> None:
     """Write the video of ``job.camera``: photograph, avatar, normals."""
     options = settings(RenderSettings, cfg["render"], "render").views
-    (puppet,) = puppets(inputs, cfg, "avatar")
+    puppet = Rig.read(inputs, cfg).puppet(Avatar.read(inputs["avatar"]))
     views = Views.of(str(job.camera), read_npz(inputs["crops"]))
     shown = thinned(len(views), options.max_frames)
 
     def frames():
         for index in track(shown, f"view {views.camera}", len(shown)):
-            shot = Shot.of(puppet.render(int(views.frames[index]), views.T_cam_from_world, views.pinhole(index)))
+            shot = Shot.beside(views, index, puppet)
             yield panels(views.rgb[index], shot.on_white(), shot.normals_on_white(), height=options.height)
 
     write_video(outputs["view"], frames(), Sequence.read(inputs["sequence"]).fps / shown.step)

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from soar.artifacts import write_tensors
-from soar.avatar.surfels import SCALE_RANGE, Avatar, from_body
+from soar.avatar.surfels import SCALE_RANGE, Avatar, canonical_vertices, from_body
 from soar.errors import ArtifactError
+from soar.geometry.meshes import edges
 from tests.avatar import toy
 
 
@@ -42,6 +43,18 @@ def test_subdivision_adds_the_edges_and_interior_faces_leave(avatar: Avatar) -> 
     smaller = from_body(dataclasses.replace(body, interior=inside), betas, toy.avatar_settings())
     assert len(smaller) < len(avatar)
     assert smaller.positions[:, 2].max() < avatar.positions[:, 2].max()
+
+
+def test_long_edges_get_a_surfel_in_their_middle(avatar: Avatar) -> None:
+    body, betas = toy.body(), toy.motion().betas
+    vertices = canonical_vertices(body, betas)
+    pairs = edges(body.faces.numpy())
+    length = (vertices[pairs[:, 0]] - vertices[pairs[:, 1]]).norm(dim=1)
+    limit = float(length.quantile(0.9))
+    denser = from_body(body, betas, dataclasses.replace(toy.avatar_settings(), longest_edge=limit))
+    wide = pairs[(length > limit).numpy()]
+    assert len(denser) == len(avatar) + len(wide)
+    torch.testing.assert_close(denser.positions[len(avatar) :], vertices[wide].mean(1))
 
 
 def test_file_round_trip(avatar: Avatar, tmp_path: Path) -> None:

@@ -26,7 +26,12 @@ def avatar_settings(
 ) -> AvatarSettings:
     """A surfel per vertex, whose 5 nearest vertices are near."""
     return AvatarSettings(
-        subdivisions=subdivisions, scale_neighbours=3, neighbours=5, attributes=attributes, field=field
+        subdivisions=subdivisions,
+        longest_edge=10.0,
+        scale_neighbours=3,
+        neighbours=5,
+        attributes=attributes,
+        field=field,
     )
 
 

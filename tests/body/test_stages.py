@@ -76,20 +76,24 @@ def test_calibrate_body_and_monocular(recording, tmp_path):
 
     node = {**conf("body", "cpu"), "iterations": 60}
     node["silhouette"] = {**node["silhouette"], "rounds": 1, "iterations": 10, "scale": 1.0}
+    nodes = {"body": node, "monocular": conf("monocular", "default")}
     inputs["reference"] = tmp_path / "body.npz"
-    numbers = run(body, inputs, tmp_path / "b", {"body": inputs["reference"]}, body=node)
+    numbers = run(
+        body, inputs, tmp_path / "b", {"body": inputs["reference"], "cameras": tmp_path / "cameras.json"}, **nodes
+    )
     assert numbers["reprojection_limbs"] < 1.5
     assert numbers["overlap"] > 0.85
     assert numbers["overlap/cam3"] > 0.8
     assert len(BodyMotion.read(inputs["reference"])) == FRAMES
 
+    assert read_calibrated(tmp_path / "cameras.json", "cam3").name == "cam3"
+    assert numbers["turned/cam1"] < 1.0
     numbers = run(
         monocular,
         inputs,
         tmp_path / "m",
         {"body": tmp_path / "m.npz"},
-        body=node,
-        monocular=conf("monocular", "default"),
+        **nodes,
     )
     assert numbers["mpjpe"] < 6
     assert numbers["mpjpe_procrustes"] <= numbers["mpjpe"]
@@ -104,4 +108,4 @@ def test_archives_of_another_length_are_refused(recording, tmp_path):
     for c in range(4):
         write_images(tmp_path / f"cam{c}.zip", [np.zeros((320, 240), np.uint8)], ".png")
     with pytest.raises(ArtifactError, match="does not belong to this sequence"):
-        run(body, inputs, tmp_path / "b", {"body": tmp_path / "b.npz"}, body=conf("body", "cpu"))
+        run(body, inputs, tmp_path / "b", {"body": tmp_path / "b.npz"}, body=conf("body", "cpu"), monocular={})

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 
 from soar.errors import ModelFileError
 from soar.losses.lpips import _TRUNKS, Lpips, Net
+from soar.models import records
 from tests.conftest import model_file
+from tests.report.toy import lpips_file
 
 
 def random_lpips(net: Net) -> Lpips:
@@ -78,6 +82,21 @@ def test_unusable_input_is_refused() -> None:
     with pytest.raises(ModelFileError, match=r"conv0\.bias") as caught:
         Lpips("alex", {})
     assert caught.value.got == "missing"
+
+
+def test_weights_that_are_not_those_installed_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "lpips_alex.safetensors"
+    with pytest.raises(ModelFileError, match="is missing") as caught:
+        Lpips.load(path, "alex")
+    assert "python -m soar models fetch" in caught.value.cure
+    lpips_file(path)
+    Lpips.load(path, "alex")
+    records.write(tmp_path, path.name, {})
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1  # one bit of one weight: still a file of the right form
+    path.write_bytes(content)
+    with pytest.raises(ModelFileError, match="is not the file it should be"):
+        Lpips.load(path, "alex")
 
 
 @pytest.mark.parametrize(("net", "distance", "spatial"), [("alex", 0.81395, 0.81404), ("vgg", 0.45384, 0.45384)])

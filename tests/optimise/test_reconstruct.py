@@ -31,6 +31,9 @@ SETTINGS = dataclasses.replace(
 )
 
 
+LEFT = torch.tensor([1.0, 0.0, 0.0])
+
+
 @pytest.fixture(scope="module")
 def views() -> Views:
     return scene.film(scene.truth())
@@ -45,7 +48,8 @@ def run(
 ) -> tuple[Avatar, dict[str, list[float]]]:
     avatar = toy.avatar_settings(attributes)
     checkpoint = Checkpoint(path, "toy", options.checkpoint_seconds)
-    return reconstruct(scene.start(), scene.articulation(), [views], lpips, avatar, options, toy.RASTER, 0, checkpoint)
+    body = scene.start(), scene.articulation(), LEFT
+    return reconstruct(*body, [views], lpips, avatar, options, toy.RASTER, 0, checkpoint)
 
 
 def same(a: Avatar, b: Avatar) -> bool:
@@ -159,12 +163,3 @@ def test_perceptual_terms_take_part(views: Views, tmp_path: Path) -> None:
         assert curves["curvature"][0] > 0
         results.append(avatar)
     assert same(*results)
-
-
-def test_averaging_is_the_repeated_mean_of_the_neighbourhood() -> None:
-    generator = torch.Generator().manual_seed(0)
-    neighbourhoods = torch.randint(0, 20, (20, 4), generator=generator)
-    values = torch.randn(20, 3, generator=generator)
-    expected = values[neighbourhoods].mean(1)[neighbourhoods].mean(1)
-    torch.testing.assert_close(module.averaged(values, neighbourhoods, 2), expected)
-    torch.testing.assert_close(module.averaged(values, neighbourhoods, 0), values)

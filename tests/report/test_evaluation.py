@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
 from soar.config import settings
 from soar.losses.lpips import Lpips
@@ -45,9 +46,15 @@ def shot(truth: Truth, tau: float = 0.0, shift: int = 0, add: float = 0.0) -> Sh
     return Shot(np.roll(colour, shift, 1), np.roll(truth.alpha, shift, 1), normal, occlusion)
 
 
+def scores_of(mine: Shot, truth: Truth, lpips: Lpips) -> dict[str, float]:
+    """The figures of one method alone."""
+    shots = {"ours": mine}
+    return score(shots, truth, regions(truth, shots, "ours", 0.5), {"ours": IDENTITY}, lpips, OPTIONS)["ours"]
+
+
 def test_equal_images_are_capped_not_infinite(truth: Truth, lpips: Lpips) -> None:
     mine = shot(truth, tau=1.0)
-    scores = score(mine, truth, regions(truth, {"ours": mine}, "ours", 0.5), IDENTITY, lpips, OPTIONS)
+    scores = scores_of(mine, truth, lpips)
     assert list(scores) == list(METRICS)
     for name in ("psnr", "visible_mpsnr", "occluded_mpsnr", "psnr_calibrated"):
         assert scores[name] == DECIBEL_LIMIT
@@ -62,7 +69,7 @@ def test_a_known_error(lpips: Lpips) -> None:
     alpha[:, : SIZE // 2] = 1
     flat = Truth(np.full((SIZE, SIZE, 3), 0.5, np.float32), alpha)
     mine = shot(flat, add=0.1)
-    scores = score(mine, flat, regions(flat, {"ours": mine}, "ours", 0.5), IDENTITY, lpips, OPTIONS)
+    scores = scores_of(mine, flat, lpips)
     assert scores["visible_mpsnr"] == pytest.approx(20, abs=1e-4)
     assert scores["psnr"] == pytest.approx(20 + 10 * math.log10(2), abs=1e-4)  # half of the crop is white
     assert math.isnan(scores["occluded_mpsnr"])
@@ -70,9 +77,42 @@ def test_a_known_error(lpips: Lpips) -> None:
 
 def test_a_shift_lowers_the_overlap(truth: Truth, lpips: Lpips) -> None:
     mine = shot(truth, shift=6)
-    scores = score(mine, truth, regions(truth, {"ours": mine}, "ours", 0.5), IDENTITY, lpips, OPTIONS)
+    scores = scores_of(mine, truth, lpips)
     assert scores["iou"] == pytest.approx(18 / 30)
     assert scores["psnr"] < 20
+
+
+def test_methods_share_the_photograph_and_nothing_else(
+    truth: Truth, lpips: Lpips, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last bit what each method scores without the others; the photograph passes the trunk once per picture."""
+    shots = {"ours": shot(truth, tau=1.0, add=0.1), "paint": shot(truth, shift=2), "third": shot(truth, add=-0.2)}
+    parts = regions(truth, shots, "ours", 0.5)
+    colours = {m: ColourMap(np.full(3, gain), np.zeros(3)) for m, gain in zip(shots, (1.0, 0.9, 1.2), strict=True)}
+    alone = {m: score({m: s}, truth, parts, colours, lpips, OPTIONS)[m] for m, s in shots.items()}
+    assert not any(math.isnan(value) for row in alone.values() for value in row.values())
+    passes, trunk = [], lpips.features
+    monkeypatch.setattr(lpips, "features", lambda images: passes.append(len(images)) or trunk(images))
+    assert score(shots, truth, parts, colours, lpips, OPTIONS) == alone
+    pictures = 4  # whole, both regions, visible, occluded
+    assert sum(passes) == pictures * (1 + len(shots))
+
+
+def test_perceptual_figures_are_the_distance_of_their_pictures(truth: Truth, lpips: Lpips) -> None:
+    mine = shot(truth, tau=1.0, add=0.1)
+    scores = scores_of(mine, truth, lpips)
+    person = truth.alpha > 0.5
+
+    def planes(image: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(image).permute(2, 0, 1)[None].contiguous()
+
+    assert scores["lpips"] == float(lpips(planes(mine.on_white()), planes(truth.on_white())))
+    inside = [planes(np.where(person[..., None], image, np.float32(0))) for image in (mine.colour, truth.rgb)]
+    assert scores["masked_lpips"] == float(lpips(*inside))
+    seen = torch.from_numpy(person & (mine.occlusion == 0))
+    a, b = (lpips.features(picture * seen) for picture in inside)
+    spread = lpips.spatial(a, b, truth.alpha.shape)[0, 0]
+    assert scores["visible_mlpips"] == pytest.approx(float(spread[seen].mean()), rel=1e-5)
 
 
 def test_regions_are_common_to_all_methods_and_split_by_tau(truth: Truth) -> None:

@@ -1,8 +1,9 @@
-"""What the stages that make avatars read: the body's motion, and the crops of the training cameras."""
+"""What the stages that make or show avatars read: the body in motion, how it is rendered, and the training crops."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,36 +26,50 @@ from soar.report.shots import Shot
 
 
 @dataclasses.dataclass(frozen=True)
-class Observed:
-    """The training footage and the body that moves in it."""
+class Rig:
+    """A body, its motion, and how an avatar that follows them is rendered."""
 
     body: BodyModel
     motion: BodyMotion
-    articulation: Articulation
-    views: list[Views]
     raster: RasterSettings
 
     @staticmethod
-    def read(inputs: Mapping[str, Path], cfg: Mapping[str, Any]) -> Observed:
-        """Read the training cameras' crops, with normal maps where the stage has that input."""
-        body, motion = BodyModel.load(inputs["body_model"]), BodyMotion.read(inputs["body"])
-        views = []
-        for name in Sequence.read(inputs["sequence"]).train:
-            maps = read_npz(inputs["normals"] / f"{name}.npz") if "normals" in inputs else None
-            views.append(Views.of(name, read_npz(inputs["crops"] / f"{name}.npz"), maps))
-        return Observed(
-            body, motion, Articulation.of(body, motion), views, settings(RasterSettings, cfg["raster"], "raster")
-        )
+    def read(inputs: Mapping[str, Path], cfg: Mapping[str, Any]) -> Rig:
+        """From the inputs ``body_model`` and ``body``, and the node ``raster``."""
+        raster = settings(RasterSettings, cfg["raster"], "raster")
+        return Rig(BodyModel.load(inputs["body_model"]), BodyMotion.read(inputs["body"]), raster)
+
+    @functools.cached_property
+    def articulation(self) -> Articulation:
+        """The motion as seen from the canonical pose."""
+        return Articulation.of(self.body, self.motion)
 
     def puppet(self, avatar: Avatar) -> Puppet:
         """The avatar on this body's strings."""
         return Puppet(avatar, self.articulation, self.raster)
 
+
+@dataclasses.dataclass(frozen=True)
+class Observed(Rig):
+    """A rig, and the training footage of the person it stands for."""
+
+    views: list[Views]
+
+    @staticmethod
+    def read(inputs: Mapping[str, Path], cfg: Mapping[str, Any]) -> Observed:
+        """With the training cameras' crops, and their normal maps where the stage has that input."""
+        rig = Rig.read(inputs, cfg)
+        views = []
+        for name in Sequence.read(inputs["sequence"]).train:
+            maps = read_npz(inputs["normals"] / f"{name}.npz") if "normals" in inputs else None
+            views.append(Views.of(name, read_npz(inputs["crops"] / f"{name}.npz"), maps))
+        return Observed(rig.body, rig.motion, rig.raster, views)
+
     def shots(self, avatar: Avatar, count: int) -> list[tuple[Views, int, Shot]]:
         """Renders of ``count`` crops, spread over every training camera's time."""
         puppet = self.puppet(avatar)
         return [
-            (view, i, Shot.of(puppet.render(int(view.frames[i]), view.T_cam_from_world, view.pinhole(i))))
+            (view, i, Shot.beside(view, i, puppet))
             for view in self.views
             for i in np.unique(np.linspace(0, len(view) - 1, count).round().astype(int)).tolist()
         ]
