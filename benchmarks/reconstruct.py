@@ -25,7 +25,7 @@ from soar.losses.lpips import Lpips
 from soar.losses.normal import cosine
 from soar.losses.photometric import SsimTarget, _kernel, blur, l1, ssim
 from soar.losses.regularise import normal_depth, offset_laplacian
-from soar.optimise.reconstruct import averaged
+from soar.optimise.sobolev import Sobolev
 from soar.raster import Pinhole, RasterSettings, rasterise_both
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -66,6 +66,7 @@ def parts(count: int, height: int, width: int, bones: int) -> dict[str, Callable
     blend = torch.rand(count, bones, generator=generator)
     transforms = torch.eye(4)[:3].repeat(bones, 1, 1) / blend.sum(1).mean()
     ring = nearest(positions, positions, 7)[1]
+    spread = Sobolev.of(positions.detach(), ring, 4, torch.tensor([1.0, 0.0, 0.0]), 1.0)
 
     def learn(loss: Callable[[], Tensor]) -> Callable[[], None]:
         return lambda: loss().backward()
@@ -99,7 +100,7 @@ def parts(count: int, height: int, width: int, bones: int) -> dict[str, Callable
         "normals": learn(lambda: cosine(normal, back[3:6], mask)),
         "normals against depth": learn(lambda: normal_depth(normal, depth, alpha, pinhole)),
         "Laplacian of the offset": learn(lambda: offset_laplacian(positions, positions.detach() * 0.99, ring[:, 1:])),
-        "smoothing of the gradient": lambda: averaged(positions.detach(), ring, 4),
+        "smoothing of the gradient": lambda: spread(positions.detach()),
     }
     weights = ROOT / "data/models/lpips_alex.safetensors"
     if weights.exists():

@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import io
 import os
-import sys
 import tarfile
 import typing
 from pathlib import Path
@@ -78,7 +77,7 @@ def fake_npm(folder: Path, archive: Path) -> None:
     package = CATALOGUE[NAME].sources[0].archive
     script = folder / "npm"
     script.write_text(
-        f"#!{sys.executable}\n"
+        "#!/usr/bin/env python3\n"  # no interpreter's own path: it may have a space
         "import shutil, sys\n"
         f"assert sys.argv[1:5] == ['pack', '{package.name}@{package.version}', '--silent', '--pack-destination']\n"
         f"shutil.copy({str(archive)!r}, sys.argv[5])\n"

@@ -403,7 +403,7 @@ def end(process: subprocess.Popen[str], how: signal.Signals, when: Callable[[], 
 
 def test_a_stage_that_is_killed_again_and_again_ends_as_if_it_had_not_been(folder: Path, toys: dict[str, Path]) -> None:
     options = [
-        *("reconstruct.steps=24", "reconstruct.reskin_every=4", "reconstruct.checkpoint_seconds=0"),
+        *("reconstruct.steps=80", "reconstruct.reskin_every=4", "reconstruct.checkpoint_seconds=0"),
         *("avatar.subdivisions=1", "avatar.field.table_log2=8"),
         *("reconstruct.weights.lpips=0", "reconstruct.weights.normal_lpips=0"),
     ]
