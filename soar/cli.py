@@ -1,4 +1,5 @@
-"""Command line: ``python -m soar STAGE`` runs one stage by hand, ``python -m soar models`` looks after the weights.
+"""Command line: ``python -m soar STAGE`` runs one stage by hand, ``python -m soar models`` looks after the weights,
+``python -m soar train NAME`` makes one of the project's own networks.
 
 The DAG calls the same entry with the files and the configuration already worked out (``--files``, ``--cfg``), so that
 a stage run by hand and one run by Snakemake are the same code on the same inputs.
@@ -47,6 +48,15 @@ def _parser() -> argparse.ArgumentParser:
     models.add_argument("--offline", action="store_true", help="use only what is on disk")
     _job_options(models)
     models.set_defaults(run=_models, stage="models", sequence=None, camera=None)
+    train = commands.add_parser("train", help="train or measure one of this project's own networks")
+    tasks = train.add_subparsers(required=True, metavar="NETWORK")
+    for name in sorted(path.stem for path in (workflow.CONF / "train").glob("*.yaml")):
+        task = tasks.add_parser(name, help=f"settings: conf/train/{name}.yaml")
+        task.add_argument("overrides", nargs="*", help="Hydra overrides, e.g. train.minutes=30 train.device=cpu")
+        task.add_argument("--out", type=Path, help=f"folder of the training (default: data/train/{name})")
+        task.add_argument("--evaluate", action="store_true", help="measure the network in --out, or the bundled one")
+        task.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)), help="threads to use")
+        task.set_defaults(run=_train, task=name)
     for name in ("fetch", *workflow.STAGES, "report"):
         stage = commands.add_parser(name, help=f"run the stage {name}")
         stage.add_argument("overrides", nargs="*", help="Hydra overrides, e.g. dataset=video dataset.path=my.mp4")
@@ -76,6 +86,19 @@ def _models(options: argparse.Namespace) -> None:
     if options.action == "fetch":
         fetch(folder, workflow.Workflow().config("full")["models"], options.extra, options.offline)
     print(table(describe(folder)))
+
+
+def _train(options: argparse.Namespace) -> None:
+    _allot(options.threads)
+    from soar.train.registry import task, training
+
+    node = workflow.composed((f"+train={options.task}", *options.overrides))["train"]
+    models, folder = Path(workflow.MODELS), options.out or Path("data/train") / options.task
+    if options.evaluate:
+        network = None if options.out is None else folder / "network.onnx"
+        task(options.task, node, models).evaluate(network, folder, options.threads)
+    else:
+        training(options.task, node, models, folder).run()
 
 
 def _stage(options: argparse.Namespace) -> None:

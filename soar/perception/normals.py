@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from soar.config import settings
 from soar.errors import ConfigError
-from soar.geometry.meshes import vertex_normals
-from soar.raster import Pinhole, RasterSettings, rasterise_mesh
+from soar.perception.body_normals import BodyNormals, BodyNormalSettings
+from soar.perception.normal_network import NormalModel, NormalModelSettings
+from soar.raster import Pinhole, RasterSettings
 
 
 class NormalProvider(Protocol):
@@ -39,48 +39,15 @@ class NormalProvider(Protocol):
         ...
 
 
-@dataclasses.dataclass(frozen=True)
-class BodyNormalSettings:
-    """Node ``normals`` with the provider ``body``.
-
-    Attributes:
-        provider: ``body``.
-    """
-
-    provider: Literal["body"]
+PROVIDERS = {"body": (BodyNormalSettings, BodyNormals), "mini": (NormalModelSettings, NormalModel)}
 
 
-class BodyNormals:
-    """The posed body model's own normals: smooth, without clothes or hair, and there for every pose and view."""
-
-    def __init__(self, options: BodyNormalSettings, raster: RasterSettings) -> None:
-        self.backend = raster.backend
-
-    def maps(
-        self, rgb: np.ndarray, alpha: np.ndarray, vertices: Tensor, faces: Tensor, pinhole: Pinhole
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """See :class:`NormalProvider`; the photograph and its mask are not looked at."""
-        normals = vertex_normals(vertices, faces)
-        front, back = (self._map(vertices, normals, faces, pinhole, side) for side in ("front", "back"))
-        return front, back
-
-    def _map(self, vertices: Tensor, normals: Tensor, faces: Tensor, pinhole: Pinhole, side: Any) -> np.ndarray:
-        seen = rasterise_mesh(vertices, faces, pinhole, side, self.backend)
-        hit = seen.face >= 0
-        corners = normals[faces[seen.face[hit].long()]]  # (P, 3, 3)
-        out = normals.new_zeros(*hit.shape, 3)
-        out[hit] = torch.nn.functional.normalize((corners * seen.barycentrics[hit][..., None]).sum(1), dim=-1)
-        return out.numpy()
-
-
-PROVIDERS = {"body": (BodyNormalSettings, BodyNormals)}
-
-
-def normal_provider(node: Mapping[str, Any], raster: RasterSettings) -> NormalProvider:
-    """The provider that the configuration node ``normals`` names.
+def normal_provider(node: Mapping[str, Any], raster: RasterSettings, threads: int) -> NormalProvider:
+    """The provider that the configuration node ``normals`` names; a network may use ``threads`` threads.
 
     Raises:
         ConfigError: an unknown provider or setting.
+        ModelFileError: the provider's network is missing, altered, or of another signature.
     """
     name = node.get("provider")
     if name not in PROVIDERS:
@@ -88,7 +55,7 @@ def normal_provider(node: Mapping[str, Any], raster: RasterSettings) -> NormalPr
             "unknown provider normals.provider", expected=", ".join(PROVIDERS), got=repr(name), cure="see conf/normals"
         )
     schema, provider = PROVIDERS[name]
-    return provider(settings(schema, node, "normals"), raster)
+    return provider(settings(schema, node, "normals"), raster, threads)
 
 
 def encode(normals: np.ndarray) -> np.ndarray:

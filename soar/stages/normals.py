@@ -26,7 +26,7 @@ _SHOWN = 4  # frames on the evidence sheet
 
 def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> None:
     """Write the maps of ``job.camera``, a sheet of some frames, and health."""
-    provider = normal_provider(cfg["normals"], settings(RasterSettings, cfg["raster"], "raster"))
+    provider = normal_provider(cfg["normals"], settings(RasterSettings, cfg["raster"], "raster"), job.threads)
     model, motion = BodyModel.load(inputs["body_model"]), BodyMotion.read(inputs["body"])
     crops = read_npz(inputs["crops"])
     count, height, width = crops["alpha"].shape

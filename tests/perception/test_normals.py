@@ -12,7 +12,7 @@ from tests.raster.scenes import VIEW, raster, sphere
 
 def sphere_maps():
     vertices, faces = sphere()
-    provider = normal_provider(conf("normals", "body"), raster())
+    provider = normal_provider(conf("normals", "body"), raster(), 1)
     return provider.maps(np.zeros((80, 96, 3), np.uint8), np.zeros((80, 96), np.uint8), vertices, faces, VIEW)
 
 
@@ -50,9 +50,9 @@ def test_sign_test_accepts_this_convention_only():
 
 def test_unknown_provider_is_named():
     with pytest.raises(ConfigError, match="provider"):
-        normal_provider({"provider": "icon"}, raster())
+        normal_provider({"provider": "icon"}, raster(), 1)
     with pytest.raises(ConfigError, match="detail"):
-        normal_provider({"provider": "body", "detail": 1}, raster())
+        normal_provider({"provider": "body", "detail": 1}, raster(), 1)
 
 
 def test_body_turned_away_keeps_the_convention():
@@ -62,6 +62,6 @@ def test_body_turned_away_keeps_the_convention():
     turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(4)))[0]
     turn = turn * torch.det(turn)
     shaped = (vertices - centre) * torch.tensor([1.0, 0.4, 0.6]) @ turn.T + centre
-    provider = normal_provider(conf("normals", "body"), raster())
+    provider = normal_provider(conf("normals", "body"), raster(), 1)
     empty = np.zeros((80, 96, 3), np.uint8), np.zeros((80, 96), np.uint8)
     assert sign_test(*provider.maps(*empty, shaped, faces, VIEW)).passed

@@ -1,0 +1,1 @@
+"""Multi-view diffusion models of people, behind one protocol."""
