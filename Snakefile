@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(workflow.basedir)))
 
 include: "workflow/rules/common.smk"
 include: "workflow/rules/setup.smk"
+include: "workflow/rules/truth.smk"
 include: "workflow/rules/perception.smk"
 include: "workflow/rules/body.smk"
 include: "workflow/rules/avatar.smk"

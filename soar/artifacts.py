@@ -146,19 +146,23 @@ class ImageArchive:
     """Frames of one camera in one uncompressed zip of encoded images (``000000.jpg`` or ``.png``), in frame order.
 
     Indexing decodes one image at a time, so memory does not grow with the clip.
+
+    Args:
+        path: the archive.
+        plane: which of the planes that :func:`write_planes` wrote.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], plane: str = "") -> None:
         self.path = Path(path)
         with _reading(path):
             self._zip = zipfile.ZipFile(path)
-            self.names = sorted(self._zip.namelist())
+            self.names = sorted(name for name in self._zip.namelist() if name.rpartition("/")[0] == plane)
 
     def __len__(self) -> int:
         return len(self.names)
 
     def __getitem__(self, index: int) -> np.ndarray:
-        """Decode frame ``index``: (H, W, 3) RGB uint8, or (H, W) uint8 for single-channel images."""
+        """Decode frame ``index``: (H, W, 3) RGB uint8, or (H, W) uint8 or uint16 for single-channel images."""
         import cv2
 
         with _reading(self.path):
@@ -184,16 +188,38 @@ def write_images(path: str | os.PathLike[str], images: Iterable[np.ndarray], suf
     Returns:
         the number of images written.
     """
+    return _write_archive(path, ({f"{{:06d}}{suffix}": encode_image(image, suffix, quality)} for image in images))
+
+
+def write_planes(path: str | os.PathLike[str], frames: Iterable[Mapping[str, np.ndarray]]) -> int:
+    """Write several planes of every frame to one archive of PNG images, to be read as ``ImageArchive(path, plane)``.
+
+    Args:
+        path: the archive to write.
+        frames: plane name -> (H, W, 3) RGB or (H, W) uint8, or (H, W) uint16; one frame is in memory at a time.
+
+    Returns:
+        the number of frames written.
+    """
+    encoded = (
+        {f"{name}/{{:06d}}.png": encode_image(image, ".png") for name, image in frame.items()} for frame in frames
+    )
+    return _write_archive(path, encoded)
+
+
+def _write_archive(path: str | os.PathLike[str], frames: Iterable[Mapping[str, bytes]]) -> int:
+    """Write the files of every frame, whose names are formats of the frame's number; returns the number of frames."""
     count = 0
     with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
-        for count, image in enumerate(images, start=1):
-            # A fixed date makes the bytes a function of the images alone.
-            archive.writestr(zipfile.ZipInfo(f"{count - 1:06d}{suffix}"), encode_image(image, suffix, quality))
+        for count, files in enumerate(frames, start=1):
+            for name, content in files.items():
+                # A fixed date makes the bytes a function of the images alone.
+                archive.writestr(zipfile.ZipInfo(name.format(count - 1)), content)
     return count
 
 
 def encode_image(image: np.ndarray, suffix: str, quality: int = 90) -> bytes:
-    """Encode an RGB or grey uint8 image as ``.jpg``, ``.png`` or ``.webp`` bytes."""
+    """Encode an RGB or grey uint8 image as ``.jpg``, ``.png`` or ``.webp`` bytes; ``.png`` takes grey uint16 too."""
     import cv2
 
     flags = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, quality], ".webp": [cv2.IMWRITE_WEBP_QUALITY, quality]}

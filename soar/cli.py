@@ -79,13 +79,14 @@ def _models(options: argparse.Namespace) -> None:
     if options.files is not None:
         _stage(options)
         return
-    from soar.models.describe import describe, table
+    from soar.models.describe import bundled, describe, table
+    from soar.networks import DATA
     from soar.stages.models import fetch
 
     folder = Path(workflow.MODELS)
     if options.action == "fetch":
         fetch(folder, workflow.Workflow().config("full")["models"], options.extra, options.offline)
-    print(table(describe(folder)))
+    print(table([*describe(folder), *bundled(DATA)]))
 
 
 def _train(options: argparse.Namespace) -> None:

@@ -43,7 +43,7 @@ def record(
         "camera": job.camera,
         "config": cfg,
         "seed": job.seed,
-        "code": {"soar": __version__, "fingerprint": fingerprint(stage)},
+        "code": {"soar": __version__, "fingerprint": fingerprint(stage, cfg)},
         "inputs": dict(_digests(inputs)),
         "outputs": dict(_digests(outputs)),
         "models": _models(inputs.get("models")),

@@ -47,6 +47,7 @@ class Stage:
         per_camera: one job per camera instead of one per sequence.
         cameras: which cameras a per-camera stage runs for: ``all`` or ``train``.
         evidence: whether the stage leaves a picture and health numbers.
+        given: what the stage reads besides where its ``provider`` is ``dataset``: what the dataset knows already.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Stage:
     cameras: str = "all"
     per_camera: bool = False
     evidence: bool = True
+    given: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @property
     def files(self) -> dict[str, str]:
@@ -80,11 +82,23 @@ STAGES: dict[str, Stage] = {
     for stage in (
         Stage("ingest", ("dataset",), {}, {"sequence": "sequence.json"}, evidence=False),
         Stage("frames", ("dataset",), _SEQUENCE, {"frames": "{camera}.zip"}, per_camera=True),
+        Stage("truth", ("dataset",), _SEQUENCE | _BODY_MODEL, {"body": "body.npz", "surface": "surface.npz"}),
+        Stage("maps", ("dataset",), _SEQUENCE, {"maps": "{camera}.zip"}, per_camera=True),
         Stage(
-            "keypoints", ("keypoints",), _SEQUENCE | _FRAMES | _MODELS, {"keypoints": "{camera}.npz"}, per_camera=True
+            "keypoints",
+            ("keypoints",),
+            _SEQUENCE | _FRAMES | _MODELS,
+            {"keypoints": "{camera}.npz"},
+            per_camera=True,
+            given=_BODY_MODEL | {"given": "truth/body.npz"},
         ),
         Stage(
-            "masks", ("masks",), _SEQUENCE | _FRAMES | _KEYPOINTS | _MODELS, {"masks": "{camera}.zip"}, per_camera=True
+            "masks",
+            ("masks",),
+            _SEQUENCE | _FRAMES | _KEYPOINTS | _MODELS,
+            {"masks": "{camera}.zip"},
+            per_camera=True,
+            given={"given": "maps/{camera}.zip"},
         ),
         Stage("calibrate", ("calibrate",), _SEQUENCE | _FRAMES | _KEYPOINTS, {"calibration": "calibration.json"}),
         Stage(
@@ -92,6 +106,7 @@ STAGES: dict[str, Stage] = {
             ("body", "monocular"),
             _SEQUENCE | _CALIBRATION | _FRAMES | _KEYPOINTS | _MASKS | _BODY_MODEL,
             {"body": "body.npz", "cameras": "cameras.json"},
+            given={"given": "truth/body.npz"},
         ),
         Stage(
             "monocular",
@@ -106,7 +121,15 @@ STAGES: dict[str, Stage] = {
             {"crops": "{camera}.npz"},
             per_camera=True,
         ),
-        Stage("normals", ("normals", "raster"), _POSED, {"normals": "{camera}.npz"}, per_camera=True, cameras="train"),
+        Stage(
+            "normals",
+            ("normals", "raster"),
+            _POSED,
+            {"normals": "{camera}.npz"},
+            per_camera=True,
+            cameras="train",
+            given={"given": "maps/{camera}.zip"},
+        ),
         Stage("paint", ("avatar", "paint", "raster"), _POSED, {"avatar": "avatar.safetensors"}),
         Stage(
             "reconstruct",
@@ -202,13 +225,21 @@ def _module(name: str) -> tuple[str, frozenset[str]] | None:
     return text, imports
 
 
-@functools.cache
-def fingerprint(stage: str) -> str:
+def fingerprint(stage: str, cfg: Mapping[str, Any]) -> str:
     """Hash of the code a stage runs: its module and everything of soar that it imports, directly or not.
 
-    Comments, docstrings and layout do not count. Native sources and package data beside an imported module do.
+    Of the dataset adapters only the one that ``cfg``, the stage's configuration, names counts. Comments, docstrings and
+    layout do not count. Native sources and package data beside an imported module do.
     """
-    pending, seen = [f"soar.stages.{stage}"], {}
+    from soar.datasets import adapter_module
+
+    adapters = (adapter_module(cfg["dataset"]),) if "dataset" in cfg else ()
+    return _fingerprint(f"soar.stages.{stage}", *adapters)
+
+
+@functools.cache
+def _fingerprint(*modules: str) -> str:
+    pending, seen = [*modules], {}
     while pending:
         name = pending.pop()
         if name in seen:
@@ -314,10 +345,24 @@ class Workflow:
         if unknown:
             raise ConfigError("unknown variant", expected=", ".join(variant_names()), got=", ".join(unknown))
         self._adapter = adapter(base["dataset"])
+        self._check_providers()
         known = self._adapter.sequences()
         self.sequences: list[str] = list(base["sequences"] or known)
         if set(self.sequences) - set(known):
             raise ConfigError("unknown sequence", expected=", ".join(known), got=", ".join(self.sequences))
+
+    def _check_providers(self) -> None:
+        for variant in self.variants:
+            for stage in STAGES:
+                if self._is_given(stage, variant) and stage not in self._adapter.provides:
+                    options = sorted(path.stem for path in (CONF / stage).glob("*.yaml"))
+                    others = [option for option in options if option != "dataset"]
+                    raise ConfigError(
+                        f"{stage}=dataset: the dataset {self.dataset} gives no {stage}",
+                        expected=f"one of {', '.join(others)}",
+                        got=f"a dataset that gives {', '.join(sorted(self._adapter.provides)) or 'its footage only'}",
+                        cure=f"choose {stage}={others[0]}, or a dataset that knows them, such as dataset=synthetic",
+                    )
 
     # configuration of a stage
 
@@ -332,7 +377,8 @@ class Workflow:
 
     @functools.cache  # noqa: B019  (a Workflow lives as long as the process)
     def _lineage(self, stage: str, variant: str) -> str:
-        above = sorted({path.split("/")[0] for path in STAGES[stage].reads.values() if not path.startswith("=")})
+        reads = self._reads(stage, variant).values()
+        above = sorted({path.split("/")[0] for path in reads if not path.startswith("=")})
         return canonical([self.slice(stage, variant), {name: self._lineage(name, variant) for name in above}])
 
     @functools.cache  # noqa: B019
@@ -340,6 +386,15 @@ class Workflow:
         """The variant in whose folder ``stage`` of ``variant`` lives: the first whose whole lineage is the same."""
         lineage = self._lineage(stage, variant)
         return next(name for name in variant_names() if self._lineage(stage, name) == lineage)
+
+    def _is_given(self, stage: str, variant: str) -> bool:
+        """Whether the dataset gives what the stage would estimate."""
+        return bool(STAGES[stage].given) and self.config(variant)[stage]["provider"] == "dataset"
+
+    def _reads(self, stage: str, variant: str) -> dict[str, str]:
+        """Input name -> place, as in :class:`Stage`, of a stage in this configuration."""
+        entry = STAGES[stage]
+        return {**entry.reads, **(entry.given if self._is_given(stage, variant) else {})}
 
     # paths
 
@@ -362,7 +417,7 @@ class Workflow:
     def inputs(self, stage: str, sequence: str, variant: str, camera: str | None = None) -> dict[str, str | list[str]]:
         """Input files by name; a per-camera family of a sequence-level stage is a list."""
         result: dict[str, str | list[str]] = {}
-        for name, entry in STAGES[stage].reads.items():
+        for name, entry in self._reads(stage, variant).items():
             if entry.startswith("="):
                 result[name] = entry[1:]
                 continue
@@ -397,9 +452,13 @@ class Workflow:
         )
 
     def stages(self, sequence: str) -> list[str]:
-        """The stages a sequence runs through: the monocular check needs cameras to be checked against."""
-        several = len(self.cameras(sequence)) > 1
-        return [name for name in STAGES if several or name != "monocular"]
+        """The stages a sequence runs through.
+
+        The monocular check needs cameras to be checked against; truth and maps a dataset that knows something.
+        """
+        several, knowing = len(self.cameras(sequence)) > 1, bool(self._adapter.provides)
+        made = {"monocular": several, "truth": knowing, "maps": knowing}
+        return [name for name in STAGES if made.get(name, True)]
 
     # jobs that know no sequence
 
@@ -464,13 +523,13 @@ def benchmark_path(dataset: str, sequence: str, variant: str, stage: str, camera
 
 
 def folders(files: Mapping[str, str | Iterable[str]]) -> dict[str, str]:
-    """What a stage receives: of a family of files, and of the models' manifest, the folder."""
+    """What a stage receives: of a family of files, and of the models' manifest, the folder; nothing of no files."""
     result = {}
     for name, value in files.items():
         if isinstance(value, str):
             result[name] = str(Path(value).parent) if name == "models" else value
-        else:
-            result[name] = str(Path(next(iter(value))).parent)
+        elif first := next(iter(value), None):
+            result[name] = str(Path(first).parent)
     return result
 
 

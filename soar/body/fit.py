@@ -69,6 +69,7 @@ class FitSettings:
     """Settings of :func:`fit_body` (node ``body``).
 
     Attributes:
+        provider: ``fit``, or ``dataset`` where the dataset gives the body and the stage fits nothing.
         cameras: fit to all cameras, or to the training cameras only.
         min_confidence: keypoints below count as not seen.
         triangulation, initial: the start.
@@ -82,6 +83,7 @@ class FitSettings:
         silhouette: the silhouette term.
     """
 
+    provider: Literal["fit", "dataset"]
     cameras: Literal["all", "train"]
     min_confidence: float
     triangulation: TriangulationSettings

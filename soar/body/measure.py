@@ -10,6 +10,7 @@ import torch
 from soar.body import lbs
 from soar.body.motion import BodyMotion
 from soar.body.observations import Observations
+from soar.body.openpose import INDEX
 from soar.body.record import BodyModel
 from soar.geometry.cameras import Camera
 from soar.raster import Pinhole, rasterise_mesh
@@ -75,6 +76,23 @@ def jitter(points: np.ndarray) -> float:
     if len(points) < 3:
         return float("nan")
     return float(100 * np.nanmean(np.linalg.norm(np.diff(points, n=2, axis=0), axis=-1)))
+
+
+def turned_away(model: BodyModel, motion: BodyMotion, camera: Camera) -> np.ndarray:
+    """(T, 2) angle on the ground, degrees, between where hips and shoulders face and where the camera is.
+
+    Both face at right angles to the line between their joints; beyond 90 degrees the camera sees the back.
+    """
+    points, up = motion_keypoints(model, motion), model.up.numpy().astype(np.float64)
+    angles = []
+    for part in ("hip", "shoulder"):
+        left, right = (points[:, INDEX[f"{side}_{part}"]] for side in ("left", "right"))
+        facing, towards = np.cross(left - right, up), camera.centre - (left + right) / 2
+        across = np.cross(facing, towards) @ up
+        angles.append(
+            np.degrees(np.abs(np.arctan2(across, (facing * (towards - (towards @ up)[:, None] * up)).sum(1))))
+        )
+    return np.stack(angles, 1)
 
 
 def aligned_error(points: np.ndarray, reference: np.ndarray, root: int) -> np.ndarray:

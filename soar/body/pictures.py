@@ -18,7 +18,7 @@ SUBPIXEL = 3  # binary digits of the positions given to OpenCV's drawing functio
 
 
 def shade(
-    camera: Camera, vertices: np.ndarray, model: BodyModel, colour: Sequence[int]
+    camera: Camera, vertices: np.ndarray, model: BodyModel, colour: Sequence[int] | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The body lit from the camera.
 
@@ -26,7 +26,7 @@ def shade(
         camera: the view.
         vertices: (V, 3) world metres.
         model: for its faces.
-        colour: RGB of 0 to 255.
+        colour: RGB of 0 to 255, one or (V, 3) one for each vertex.
 
     Returns:
         (H, W, 3) float32 picture in [0, 255] and (H, W) float32 depth, infinite beside the body.
@@ -37,8 +37,12 @@ def shade(
     face = torch.as_tensor(fragments.face)
     facing = -vertex_normals(local, model.faces)[:, 2]
     corners = model.faces[face.clamp_min(0).long()]
-    light = (torch.as_tensor(fragments.barycentrics) * facing[corners]).sum(-1).clamp(0, 1).numpy()
-    picture = (0.25 + 0.75 * light[..., None]) * np.asarray(colour, np.float32)
+    shares = torch.as_tensor(fragments.barycentrics)
+    light = (shares * facing[corners]).sum(-1).clamp(0, 1).numpy()
+    own = np.asarray(colour, np.float32)
+    if own.ndim == 2:
+        own = (shares[..., None] * torch.from_numpy(own)[corners]).sum(-2).numpy()
+    picture = (0.25 + 0.75 * light[..., None]) * own
     return picture, np.asarray(fragments.depth)
 
 
@@ -47,7 +51,7 @@ def draw_body(
     camera: Camera,
     vertices: np.ndarray,
     model: BodyModel,
-    colour: Sequence[int] = BLUE,
+    colour: Sequence[int] | np.ndarray = BLUE,
     opacity: float = 0.55,
 ) -> np.ndarray:
     """(H, W, 3) uint8: the shaded body over the frame, with its outline."""

@@ -48,6 +48,7 @@ class Cameras:
     """
 
     packaged = None
+    provides: frozenset[str] = frozenset()
 
     def __init__(self, settings: CamerasSettings) -> None:
         self.settings = settings

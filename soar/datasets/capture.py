@@ -12,6 +12,7 @@ import numpy as np
 from soar.datasets.packaged import PackagedFiles
 from soar.datasets.recordings import Recording
 from soar.datasets.selection import FrameSettings, SubjectSettings
+from soar.datasets.truth import Truth
 from soar.geometry.cameras import Camera
 
 
@@ -28,6 +29,7 @@ class Capture:
         fps: rate the calibration states, frames per second; None leaves it to the recordings.
         frames, subject: the settings.
         remarks: sentences the user should read.
+        truth: what the dataset knows besides its footage; None where it knows nothing.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Capture:
     frames: FrameSettings
     subject: SubjectSettings
     remarks: tuple[str, ...]
+    truth: Truth | None = None
 
 
 class Adapter(Protocol):
@@ -47,9 +50,12 @@ class Adapter(Protocol):
 
     Attributes:
         packaged: files that ``python -m soar fetch`` brings; None for the user's own data.
+        provides: what the dataset gives besides footage, named as the stages that otherwise estimate it: of ``masks``,
+            ``keypoints``, ``body`` and ``normals``. Their provider ``dataset`` takes it from there.
     """
 
     packaged: PackagedFiles | None
+    provides: frozenset[str]
 
     def sequences(self) -> list[str]:
         """Names of the sequences."""

@@ -45,6 +45,8 @@ class DemoSettings:
 class Demo:
     """One sequence; its calibration is translated into the form of ``docs/data.md``."""
 
+    provides: frozenset[str] = frozenset()
+
     def __init__(self, settings: DemoSettings) -> None:
         self.settings = settings
         self.packaged = settings.packaged

@@ -56,6 +56,7 @@ class Video:
     """Single-camera clips; the world is the camera's own frame, up is the top of the image."""
 
     packaged = None
+    provides: frozenset[str] = frozenset()
 
     def __init__(self, settings: VideoSettings) -> None:
         self.settings = settings

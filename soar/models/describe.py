@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from soar.artifacts import sha256_file
+from soar.artifacts import read_json, sha256_file
 from soar.models import records
 from soar.models.catalogue import CATALOGUE, Model
 
@@ -31,6 +31,17 @@ def describe(folder: Path) -> list[Row]:
         source = ", ".join(str(source.archive) for source in model.sources)
         size = path.stat().st_size if path.is_file() else 0
         rows.append(Row(model.name, _state(model, folder), size, model.licence, source, model.feeds))
+    return rows
+
+
+def bundled(folder: Path) -> list[Row]:
+    """One row per network that comes with the package, from the records in ``folder``."""
+    rows = []
+    for path in sorted((folder / "records").glob("*.json")):
+        record = read_json(path)
+        state = "ready" if sha256_file(folder / record["file"]) == record["sha256"] else "altered"
+        source = "bundled, trained by `python -m soar train`"
+        rows.append(Row(f"mini {record['name']}", state, record["bytes"], record["licence"], source, record["feeds"]))
     return rows
 
 

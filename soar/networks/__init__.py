@@ -1,1 +1,7 @@
-"""Small convolutional networks of this project's own, trained on synthetic people, and their export to ONNX."""
+"""The networks that this project trains itself (docs/networks.md)."""
+
+from importlib.resources import files
+from pathlib import Path
+
+DATA = Path(str(files("soar.networks") / "data"))
+"""Folder of the trained ones, with their records."""

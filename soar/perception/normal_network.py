@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
@@ -12,11 +11,12 @@ import numpy as np
 from torch import Tensor
 
 from soar.models.onnx import session
+from soar.networks import DATA
 from soar.networks.normal_inputs import OUTPUTS, SIGNATURE, assemble, batch, fill, mirrored, nearest_known
 from soar.perception.body_normals import body_maps
 from soar.raster import Pinhole, RasterSettings
 
-BUNDLED = Path(str(files("soar.networks") / "data" / "normals.onnx"))
+BUNDLED = DATA / "normals.onnx"
 """The network that comes with the package; ``docs/networks.md`` is its model card."""
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
 from soar.models.onnx import session
+from soar.networks import DATA
 from soar.networks.prior_inputs import CONDITIONED, signature
 
-BUNDLED = Path(str(files("soar.networks") / "data" / "prior.onnx"))
+BUNDLED = DATA / "prior.onnx"
 """The network that comes with the package; ``docs/networks.md`` is its model card."""
 
 

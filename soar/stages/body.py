@@ -1,4 +1,4 @@
-"""Fit the body to keypoints and masks of several cameras, or of the only one."""
+"""Fit the body to keypoints and masks of several cameras, or of the only one; or take the dataset's own."""
 
 from __future__ import annotations
 
@@ -41,24 +41,30 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
     options = settings(FitSettings, monocular(cfg) if alone else cfg["body"], "body")
     model = BodyModel.load(inputs["body_model"])
     everyone = observe(inputs, calibrated(inputs, sequence), options.min_confidence)
-    used = everyone.select(sequence.train) if options.cameras == "train" else everyone
     masks = archives(inputs["masks"], sequence.names, len(sequence))
-    found = fitted(model, used, masks, options, sequence.subject.stature_m)
-    turned = {camera.name: camera for camera in found.cameras}
-    cameras = tuple(turned.get(camera.name, camera) for camera in everyone.cameras)
-    motion = found.motion
+    terms: Mapping[str, float] = {}
+    if "given" in inputs:
+        motion, cameras = BodyMotion.read(inputs["given"]), sequence.cameras
+    else:
+        used = everyone.select(sequence.train) if options.cameras == "train" else everyone
+        found = fitted(model, used, masks, options, sequence.subject.stature_m)
+        turned = {camera.name: camera for camera in found.cameras}
+        cameras = tuple(turned.get(camera.name, camera) for camera in everyone.cameras)
+        motion, terms = found.motion, found.history[-1]
     motion.write(outputs["body"])
     write_json(outputs["cameras"], {"cameras": [camera.to_json() for camera in cameras]})
-    given, everyone = everyone.cameras, dataclasses.replace(everyone, cameras=cameras)
+    before, everyone = everyone.cameras, dataclasses.replace(everyone, cameras=cameras)
     frames = archives(inputs["frames"], sequence.names, len(sequence))
     write_image(outputs["evidence"], sheet(model, motion, everyone, frames, sequence.frame_ids))
     health = Health("body")
     figures(health, model, motion, everyone, masks, options.silhouette.threshold)
-    for name, value in found.history[-1].items():
+    for name, value in terms.items():
         health.add(f"term_{name}", value)
-    for before, after in zip(given, cameras, strict=True):
-        health.add(f"turned/{after.name}", np.degrees(angle_between(before.R, after.R)), "degrees")
-    if alone:
+    for old, new in zip(before, cameras, strict=True):
+        health.add(f"turned/{new.name}", np.degrees(angle_between(old.R, new.R)), "degrees")
+    if "given" in inputs:
+        health.remark("The body and its cameras are the dataset's own; nothing was fitted.")
+    elif alone:
         health.remark("Fitted to one camera: depth, leaning towards the camera and stature are guesses.")
     health.write(outputs["health"])
 

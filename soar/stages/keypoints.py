@@ -1,4 +1,4 @@
-"""Estimate the 137 keypoints of the subject in every frame of one camera."""
+"""The 137 keypoints of the subject in every frame of one camera: estimated, or those of the dataset's own body."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 
 from soar.artifacts import ImageArchive, write_image
+from soar.body.motion import BodyMotion
 from soar.body.openpose import BODY
+from soar.body.record import BodyModel
 from soar.datasets.sequence import Sequence
 from soar.health import Health
 from soar.perception import diagnostics
 from soar.perception.drawing import draw_skeleton
+from soar.perception.given import projected
 from soar.perception.keypoints import Choice, Keypoints, TrackReport
 from soar.perception.registry import keypoint_provider
 from soar.report.pictures import fit, grid
@@ -26,10 +29,14 @@ _HEIGHT = 640  # of a frame on the sheet, pixels
 def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> None:
     """Write the keypoints of ``job.camera``, their health, and a sheet of frames with the skeleton over them."""
     sequence, frames = Sequence.read(inputs["sequence"]), ImageArchive(inputs["frames"])
-    subject = sequence.subject
-    told = job.camera == subject.camera and (subject.point is not None or subject.box is not None)
-    estimate = keypoint_provider(cfg["keypoints"], Path(inputs["models"]), job.threads)
-    record, report = estimate(frames, Choice(subject.frame, subject.point, subject.box) if told else None)
+    if "given" in inputs:
+        model, motion = BodyModel.load(inputs["body_model"]), BodyMotion.read(inputs["given"])
+        record, report = projected(model, motion, sequence.camera(str(job.camera)))
+    else:
+        subject = sequence.subject
+        told = job.camera == subject.camera and (subject.point is not None or subject.box is not None)
+        estimate = keypoint_provider(cfg["keypoints"], Path(inputs["models"]), job.threads)
+        record, report = estimate(frames, Choice(subject.frame, subject.point, subject.box) if told else None)
     record.write(outputs["keypoints"])
     write_image(outputs["evidence"], _sheet(frames, record, sequence.frame_ids))
     _health(record, report, sequence.frame_ids).write(outputs["health"])

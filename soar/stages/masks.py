@@ -1,8 +1,8 @@
-"""Cut the subject out of every frame of one camera as a soft mask."""
+"""The subject in every frame of one camera as a soft mask: estimated, or the dataset's own."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from soar.perception.roi import Roi
 from soar.progress import track
 from soar.report.pictures import composite, fit, grid, overlay_mask, to_uint8
 from soar.stages import Job
+from soar.stages._given import given_plane
 
 _SHOWN = 6  # frames on the evidence sheet
 _CELL = (360, 480)  # width and height of a picture on the sheet, pixels
@@ -38,22 +39,29 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
             got=str(len(record.score)),
             cure="delete the file and run snakemake; it is made again",
         )
-    estimate = mask_provider(cfg["masks"], Path(inputs["models"]), job.threads)
+    found: Iterator[np.ndarray]
+    if "given" in inputs:
+        found = (alpha / np.float32(255) for alpha in given_plane(inputs["given"], "alpha", len(frames)))
+    else:
+        found = _estimated(frames, record, mask_provider(cfg["masks"], Path(inputs["models"]), job.threads))
     figures: list[MaskFigures] = []
-    write_images(outputs["masks"], _masks(frames, record, estimate, figures), ".png")
+    write_images(outputs["masks"], _measured(track(found, "masks", len(frames)), figures), ".png")
     write_image(outputs["evidence"], _sheet(frames, ImageArchive(outputs["masks"]), sequence.frame_ids))
     _health(figures, sequence.frame_ids).write(outputs["health"])
 
 
-def _masks(
-    frames: ImageArchive, record: Keypoints, estimate: MaskProvider, figures: list[MaskFigures]
-) -> Iterator[np.ndarray]:
-    """Masks (H, W) uint8 one at a time, so that memory does not grow with the clip; their figures are appended."""
-    for t in track(range(len(frames)), "masks"):
-        image = frames[t]
-        alpha = np.zeros(image.shape[:2], np.float32)
+def _estimated(frames: ImageArchive, record: Keypoints, estimate: MaskProvider) -> Iterator[np.ndarray]:
+    """Masks (H, W) float32 in [0, 1] one at a time, so that memory does not grow with the clip."""
+    for t, image in enumerate(frames):
         if record.present[t]:
-            alpha = estimate(image, Roi(*map(float, record.roi[t])), record.keypoints[t, : len(BODY)])
+            yield estimate(image, Roi(*map(float, record.roi[t])), record.keypoints[t, : len(BODY)])
+        else:
+            yield np.zeros(image.shape[:2], np.float32)
+
+
+def _measured(masks: Iterable[np.ndarray], figures: list[MaskFigures]) -> Iterator[np.ndarray]:
+    """The masks as uint8; their figures are appended."""
+    for alpha in masks:
         figures.append(mask_figures(alpha))
         yield np.round(alpha * 255).astype(np.uint8)
 

@@ -1,8 +1,8 @@
-"""Front and back normal maps of every crop of one training camera."""
+"""Front and back normal maps of every crop of one training camera: estimated, or the dataset's own."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,34 +14,32 @@ from soar.body.lbs import pose_vertices
 from soar.body.motion import BodyMotion
 from soar.body.record import BodyModel
 from soar.config import settings
+from soar.datasets.planes import cropped_normals
+from soar.datasets.sequence import Sequence
 from soar.health import Health
-from soar.perception.normals import encode, normal_provider, sign_test
+from soar.perception.normals import NormalProvider, encode, normal_provider, sign_test
 from soar.progress import track
 from soar.raster import Pinhole, RasterSettings
 from soar.report.pictures import colour_normals, composite, grid
 from soar.stages import Job
+from soar.stages._given import given_plane
 
 _SHOWN = 4  # frames on the evidence sheet
 
 
 def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> None:
     """Write the maps of ``job.camera``, a sheet of some frames, and health."""
-    provider = normal_provider(cfg["normals"], settings(RasterSettings, cfg["raster"], "raster"), job.threads)
-    model, motion = BodyModel.load(inputs["body_model"]), BodyMotion.read(inputs["body"])
     crops = read_npz(inputs["crops"])
     count, height, width = crops["alpha"].shape
-    faces = model.faces[~model.interior]
-    pose = torch.from_numpy(np.asarray(crops["T_cam_from_world"], np.float32))
-    rotations = motion.rotations
+    if "given" in inputs:
+        found = _given(inputs, crops)
+    else:
+        provider = normal_provider(cfg["normals"], settings(RasterSettings, cfg["raster"], "raster"), job.threads)
+        found = _estimated(provider, BodyModel.load(inputs["body_model"]), BodyMotion.read(inputs["body"]), crops)
 
     maps = {side: np.zeros((count, height, width, 3), np.int8) for side in ("front", "back")}
     overlaps, failed = [], []
-    for i in track(range(count), f"normals {job.camera}", count):
-        frame = int(crops["frame_index"][i])
-        world = pose_vertices(model, motion.betas, rotations[frame], motion.translation[frame])
-        vertices = world @ pose[:3, :3].T + pose[:3, 3]
-        pinhole = Pinhole.from_K(crops["K"][i], width, height)
-        front, back = provider.maps(crops["rgb"][i], crops["alpha"][i], vertices, faces, pinhole)
+    for i, (front, back) in enumerate(track(found, f"normals {job.camera}", count)):
         maps["front"][i], maps["back"][i] = encode(front), encode(back)
         if not sign_test(front, back).passed:
             failed.append(i)
@@ -71,6 +69,31 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
             f"{failed[0] + 1}); the body is out of the picture there, or the maps are in another convention."
         )
     health.write(outputs["health"])
+
+
+def _estimated(
+    provider: NormalProvider, model: BodyModel, motion: BodyMotion, crops: Mapping[str, np.ndarray]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Front and back normals (H, W, 3) float32 of every crop, from its picture and the posed body."""
+    _, height, width = crops["alpha"].shape
+    faces = model.faces[~model.interior]
+    pose = torch.from_numpy(np.asarray(crops["T_cam_from_world"], np.float32))
+    rotations = motion.rotations
+    for i, frame in enumerate(crops["frame_index"].tolist()):
+        world = pose_vertices(model, motion.betas, rotations[frame], motion.translation[frame])
+        vertices = world @ pose[:3, :3].T + pose[:3, 3]
+        pinhole = Pinhole.from_K(crops["K"][i], width, height)
+        yield provider.maps(crops["rgb"][i], crops["alpha"][i], vertices, faces, pinhole)
+
+
+def _given(inputs: Mapping[str, Path], crops: Mapping[str, np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The dataset's own maps, cut as the crops were."""
+    frames = len(Sequence.read(inputs["sequence"]))
+    planes = [given_plane(inputs["given"], side, frames) for side in ("front", "back")]
+    scale = float(crops["scale"])
+    for frame, rect in zip(crops["frame_index"].tolist(), crops["rect"], strict=True):
+        front, back = (cropped_normals(plane[frame], scale, rect) for plane in planes)
+        yield front, back
 
 
 def _overlap(a: np.ndarray, b: np.ndarray) -> float:

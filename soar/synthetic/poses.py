@@ -145,7 +145,7 @@ def draw_pose(mannequin: Mannequin, rng: np.random.Generator, settings: PoseSett
     unknown = sorted(set(settings.weights) - set(KINDS))
     if unknown:
         raise ConfigError("unknown kind of pose", expected=", ".join(KINDS), got=unknown[0])
-    names = list(settings.weights)
+    names = sorted(settings.weights)  # the order in a configuration file says nothing
     p = np.array([settings.weights[name] for name in names], float)
     kind = names[rng.choice(len(names), p=p / p.sum())]
     for _ in range(settings.attempts):

@@ -63,7 +63,7 @@ class Subject:
 
 
 def _pick(weights: Mapping[str, float], rng: np.random.Generator, known: object) -> str:
-    names = list(weights)
+    names = sorted(weights)  # the order in a configuration file says nothing
     unknown = sorted(set(names) - set(known))  # type: ignore[call-overload]
     if unknown:
         raise ConfigError("unknown name in a family", expected=", ".join(known), got=unknown[0])  # type: ignore[call-overload]

@@ -112,7 +112,13 @@ class NormalTask:
 
     def export(self, network: nn.Module, path: Path, facts: Mapping[str, Any]) -> None:
         """Write the ONNX file and its record."""
-        export(network, SIGNATURE, _TRACED, path, {"name": "normals", "licence": "Apache-2.0", **facts})
+        export(
+            network,
+            SIGNATURE,
+            _TRACED,
+            path,
+            {"name": "normals", "licence": "Apache-2.0", "feeds": "normals of the clothed person", **facts},
+        )
 
 
 def degrees(cosine: Tensor) -> Tensor:

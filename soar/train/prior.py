@@ -163,4 +163,10 @@ class PriorTask:
     def export(self, network: nn.Module, path: Path, facts: Mapping[str, Any]) -> None:
         """Write the ONNX file and its record."""
         size = self.settings.samples.size
-        export(network, signature(size), size, path, {"name": "prior", "licence": "Apache-2.0", **facts})
+        export(
+            network,
+            signature(size),
+            size,
+            path,
+            {"name": "prior", "licence": "Apache-2.0", "feeds": "completing what was never seen", **facts},
+        )

@@ -40,6 +40,7 @@ def run(inputs, outputs, cfg, job):
             (path / "body").mkdir(parents=True, exist_ok=True)
             (path / "manifest.json").write_text("{{}}")
             (path / "body" / "anny.npz").write_text("body")
+            (path / "body" / "anny_helpers.npz").write_text("helpers")
         else:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text("{stage} " + str(sorted(cfg)) + str(cfg))
@@ -159,6 +160,7 @@ def test_variants_share_what_is_equal(finished: Path) -> None:
         (("variants=[full,nonsense]",), "nonsense"),
         (("body=nonsense",), "nonsense"),
         (("sequences=[nobody]",), "nobody"),
+        (("masks=dataset",), "the dataset cameras gives no masks"),
     ],
 )
 def test_unknown_names_are_named(finished: Path, config: tuple[str, ...], message: str) -> None:
@@ -166,6 +168,26 @@ def test_unknown_names_are_named(finished: Path, config: tuple[str, ...], messag
     assert result.returncode != 0
     assert message in result.stdout + result.stderr
     assert "Traceback" not in result.stdout + result.stderr
+
+
+def test_a_dataset_that_knows_its_people_gives_them_to_the_stages(finished: Path) -> None:
+    command = [sys.executable, "-m", "snakemake", "--cores", "2", "-n", "-p", "--config", "dataset=synthetic"]
+    options = ["sequences=[benchmark-0000-walk]", "keypoints=mediapipe"]
+    plan = subprocess.run(
+        [*command, *options], cwd=finished, env=_environment(finished), capture_output=True, text=True, check=False
+    )
+    assert {"truth", "maps", "masks", "body", "reconstruct"} <= planned(plan)
+    assert counts(plan)["truth"] == 1
+    assert counts(plan)["maps"] == counts(plan)["masks"] == 5
+
+    def given(rule: str) -> str:
+        """What the commands of a rule are given."""
+        commands = "".join(re.findall(rf"-m soar {rule} .*", plan.stdout + plan.stderr))
+        return "".join(re.findall(r'"given":"[^"]*"', commands))
+
+    assert "/truth/body.npz" in given("body")
+    assert "/maps/a180.zip" in given("masks")
+    assert not given("keypoints") + given("normals")
 
 
 def test_a_killed_stage_loses_only_itself(finished: Path) -> None:

@@ -41,15 +41,20 @@ def folder(stage):
     return f"results/{FLOW.dataset}/{{sequence}}/{{variant}}/{stage}"
 
 
+def input_names(stage):
+    """Names of the inputs; those that a dataset may give are empty where they are estimated."""
+    return [*STAGES[stage].reads, *STAGES[stage].given]
+
+
 def reads(stage):
     """Named inputs of a stage as input functions."""
 
     def path(name):
         return lambda w: FLOW.inputs(
             stage, w.sequence, w.variant, getattr(w, "camera", None)
-        )[name]
+        ).get(name, [])
 
-    return {name: path(name) for name in STAGES[stage].reads}
+    return {name: path(name) for name in input_names(stage)}
 
 
 def writes(stage):
@@ -64,7 +69,7 @@ def params(stage):
 
     def files(wildcards, input, output):
         camera = getattr(wildcards, "camera", None)
-        named = {name: getattr(input, name) for name in STAGES[stage].reads}
+        named = {name: getattr(input, name) for name in input_names(stage)}
         place = FLOW.folder(stage, wildcards.sequence, wildcards.variant)
         return canonical(
             {
@@ -75,7 +80,7 @@ def params(stage):
 
     return {
         "cfg": lambda w: canonical(FLOW.slice(stage, w.variant)),
-        "code": fingerprint(stage),
+        "code": lambda w: fingerprint(stage, FLOW.slice(stage, w.variant)),
         "files": files,
     }
 

@@ -90,7 +90,7 @@ rule report:
         runtime=20,
     params:
         cfg=canonical(FLOW.dataset_job("report")[0]),
-        code=fingerprint("report"),
+        code=fingerprint("report", {}),
         files=canonical(FLOW.dataset_job("report")[1]),
     message:
         "Writing results/{FLOW.dataset}/report/report.html"

@@ -5,6 +5,7 @@ rule models:
     output:
         manifest=f"{MODELS}/manifest.json",
         anny=f"{MODELS}/body/anny.npz",
+        helpers=f"{MODELS}/body/anny_helpers.npz",
     log:
         f"{MODELS}/models.log",
     threads: 2
@@ -13,7 +14,7 @@ rule models:
         runtime=15,
     params:
         cfg=canonical({"seed": 0, "models": FLOW.config("full")["models"]}),
-        code=fingerprint("models"),
+        code=fingerprint("models", {}),
         files=canonical(
             {
                 "inputs": {},
@@ -41,7 +42,7 @@ if FLOW.downloads():
             runtime=15,
         params:
             cfg=canonical(FLOW.dataset_job("fetch")[0]),
-            code=fingerprint("fetch"),
+            code=fingerprint("fetch", FLOW.dataset_job("fetch")[0]),
             files=canonical(FLOW.dataset_job("fetch")[1]),
         message:
             "Fetching the dataset {FLOW.dataset}"
