@@ -12,7 +12,7 @@ demo: $(STAMP)
 	@echo "report: results/demo/report/report.html"
 
 test: $(STAMP)
-	"$(BIN)/python" -m pytest -q
+	OMP_NUM_THREADS=1 "$(BIN)/python" -m pytest -q -n logical --maxprocesses 4 --dist loadfile
 
 lint: $(STAMP)
 	"$(BIN)/ruff" check .
