@@ -14,6 +14,11 @@ INK, PAPER = (235, 235, 235), (32, 34, 38)
 SEEN, UNSEEN = np.array([0.88, 0.89, 0.90]), np.array([0.85, 0.16, 0.13])
 
 
+def spread(count: int, shown: int) -> list[int]:
+    """At most ``shown`` indices spread over ``range(count)``, ends included."""
+    return np.unique(np.linspace(0, count - 1, shown).round().astype(int)).tolist()
+
+
 def to_uint8(image: np.ndarray) -> np.ndarray:
     """(H, W, 3) RGB uint8 of a float [0, 1], uint8 or boolean image, colour or grey; out-of-range values clip."""
     if image.dtype != np.uint8:

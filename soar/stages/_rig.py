@@ -22,6 +22,7 @@ from soar.metrics.image import white_crop_psnr
 from soar.metrics.masked import iou
 from soar.optimise.views import Views
 from soar.raster import RasterSettings
+from soar.report.pictures import spread
 from soar.report.shots import Shot
 
 
@@ -68,11 +69,7 @@ class Observed(Rig):
     def shots(self, avatar: Avatar, count: int) -> list[tuple[Views, int, Shot]]:
         """Renders of ``count`` crops, spread over every training camera's time."""
         puppet = self.puppet(avatar)
-        return [
-            (view, i, Shot.beside(view, i, puppet))
-            for view in self.views
-            for i in np.unique(np.linspace(0, len(view) - 1, count).round().astype(int)).tolist()
-        ]
+        return [(view, i, Shot.beside(view, i, puppet)) for view in self.views for i in spread(len(view), count)]
 
 
 def agreement(shots: list[tuple[Views, int, Shot]]) -> tuple[float, float]:

@@ -6,8 +6,6 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-import numpy as np
-
 from soar.artifacts import ImageArchive
 from soar.body.observations import Observations
 from soar.datasets.sequence import Sequence, read_calibrated
@@ -61,8 +59,3 @@ def archives(folder: Path, names: Iterable[str], frames: int) -> dict[str, Image
                 cure="delete the file and run snakemake; it is made again",
             )  # fmt: skip
     return found
-
-
-def spread(count: int, shown: int) -> list[int]:
-    """At most ``shown`` indices spread over ``range(count)``, ends included."""
-    return np.unique(np.linspace(0, count - 1, shown).round().astype(int)).tolist()

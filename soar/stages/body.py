@@ -25,9 +25,9 @@ from soar.body.triangulate import triangulate
 from soar.config import settings
 from soar.datasets.sequence import Sequence
 from soar.health import Health
-from soar.report.pictures import fit, grid
+from soar.report.pictures import fit, grid, spread
 from soar.stages import Job
-from soar.stages._subject import archives, calibrated, observe, spread
+from soar.stages._subject import archives, calibrated, observe
 
 SHOWN = 5  # frames on the evidence sheet
 MEASURED = 25  # frames whose overlap with the mask is measured

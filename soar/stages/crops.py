@@ -17,7 +17,7 @@ from soar.errors import ArtifactError
 from soar.geometry.cameras import Camera
 from soar.health import Health
 from soar.progress import track
-from soar.report.pictures import composite, grid, overlay_mask
+from soar.report.pictures import composite, grid, overlay_mask, spread
 from soar.stages import Job
 
 _SHOWN = 6  # crops on the evidence sheet
@@ -46,7 +46,7 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
         "frame_index": windows.frame_index,
     }
     write_npz(outputs["crops"], arrays)
-    shown = np.unique(np.linspace(0, len(rgb) - 1, _SHOWN).round().astype(int))
+    shown = spread(len(rgb), _SHOWN)
     pictures = [overlay_mask(composite(rgb[i], alpha[i]), alpha[i], opacity=0.0) for i in shown]
     labels = [f"{camera.name}  frame {sequence.frame_ids[windows.frame_index[i]]}" for i in shown]
     write_image(outputs["evidence"], grid(pictures, len(pictures), labels))

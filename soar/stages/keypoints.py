@@ -19,7 +19,7 @@ from soar.perception.drawing import draw_skeleton
 from soar.perception.given import projected
 from soar.perception.keypoints import Choice, Keypoints, TrackReport
 from soar.perception.registry import keypoint_provider
-from soar.report.pictures import fit, grid
+from soar.report.pictures import fit, grid, spread
 from soar.stages import Job
 
 _SHOWN = 6  # frames on the evidence sheet
@@ -43,7 +43,7 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
 
 
 def _sheet(frames: ImageArchive, record: Keypoints, frame_ids: tuple[int, ...]) -> np.ndarray:
-    shown = np.unique(np.linspace(0, len(frames) - 1, _SHOWN).round().astype(int))
+    shown = spread(len(frames), _SHOWN)
     body = record.keypoints[record.present][:, : len(BODY)]
     places = body[body[..., 2] > 0][:, :2]
     height, width = frames[0].shape[:2]

@@ -15,7 +15,7 @@ from soar.datasets.sequence import Sequence
 from soar.health import Health
 from soar.perception.diagnostics import mask_figures
 from soar.progress import track
-from soar.report.pictures import colour_normals, fit, grid
+from soar.report.pictures import colour_normals, fit, grid, spread
 from soar.stages import Job
 
 _SHOWN = 2  # frames on the evidence sheet
@@ -54,7 +54,7 @@ def _averted(front: np.ndarray, back: np.ndarray) -> float:
 
 def _sheet(path: Path, sequence: Sequence, camera: str) -> np.ndarray:
     cells, labels = [], []
-    shown = np.unique(np.linspace(0, len(sequence) - 1, _SHOWN).round().astype(int))
+    shown = spread(len(sequence), _SHOWN)
     for t in shown:
         for plane in ("alpha", "front", "back", "body_front", "body_back", "depth"):
             archive = ImageArchive(path, plane)

@@ -19,7 +19,7 @@ from soar.perception.masks import MaskProvider
 from soar.perception.registry import mask_provider
 from soar.perception.roi import Roi
 from soar.progress import track
-from soar.report.pictures import composite, fit, grid, overlay_mask, to_uint8
+from soar.report.pictures import composite, fit, grid, overlay_mask, spread, to_uint8
 from soar.stages import Job
 from soar.stages._given import given_plane
 
@@ -67,7 +67,7 @@ def _measured(masks: Iterable[np.ndarray], figures: list[MaskFigures]) -> Iterat
 
 
 def _sheet(frames: ImageArchive, masks: ImageArchive, frame_ids: tuple[int, ...]) -> np.ndarray:
-    shown = np.unique(np.linspace(0, len(frames) - 1, _SHOWN).round().astype(int))
+    shown = spread(len(frames), _SHOWN)
     pictures = []
     for t in shown:
         image, alpha = frames[t], masks[t]

@@ -22,9 +22,9 @@ from soar.config import settings
 from soar.datasets.sequence import Sequence
 from soar.geometry.cameras import Camera
 from soar.health import Health
-from soar.report.pictures import fit, grid
+from soar.report.pictures import fit, grid, spread
 from soar.stages import Job, body
-from soar.stages._subject import archives, calibrated, observe, spread
+from soar.stages._subject import archives, calibrated, observe
 
 
 def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> None:

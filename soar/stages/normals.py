@@ -20,7 +20,7 @@ from soar.health import Health
 from soar.perception.normals import NormalProvider, encode, normal_provider, sign_test
 from soar.progress import track
 from soar.raster import Pinhole, RasterSettings
-from soar.report.pictures import colour_normals, composite, grid
+from soar.report.pictures import colour_normals, composite, grid, spread
 from soar.stages import Job
 from soar.stages._given import given_plane
 
@@ -46,7 +46,7 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
         overlaps.append(_overlap(np.abs(front).max(-1) > 0, crops["alpha"][i] > 127))
 
     write_npz(outputs["normals"], maps, compress=True)
-    shown = np.unique(np.linspace(0, count - 1, _SHOWN).round().astype(int))
+    shown = spread(count, _SHOWN)
     pictures = [
         picture
         for i in shown
