@@ -25,6 +25,7 @@ _WAVES = 6 * len(_FREQUENCIES)
 _POSITION = 3 + _WAVES
 _GIVEN = 3 + 7 + 2 + CARRIED + 1  # noisy, geometry, alpha and whether it is known, carried, role
 _COPIES = RULES + 1  # candidates copied from the picture: by rule, and by attention
+_LIGHT = 1.5  # largest logarithm of what a copy's brightness is multiplied by
 _LEAST = 0.05  # coverage of a place in the picture whose colour can be looked up
 _NEVER = -1e4  # logit of what must not be chosen
 
@@ -61,8 +62,8 @@ class PriorNetwork(nn.Module):
 
     A U-Net over the views and the condition picture, with attention to the picture at 1/4 of the resolution and among
     all five at 1/8. Its output is a *copy head*: every pixel is a mixture of the carried colours, of colours looked up
-    in the picture by attention, of the background and of a painted colour. Only the painted one sees the noisy view
-    directly: it is ``alpha x_t - sigma v``, which hands little noise through unchanged.
+    in the picture by attention, both made brighter or darker, of the background and of a painted colour. Only the
+    painted one sees the noisy view directly: it is ``alpha x_t - sigma v``, which hands little noise through unchanged.
     """
 
     def __init__(self, settings: PriorNetworkSettings) -> None:
@@ -89,7 +90,8 @@ class PriorNetwork(nn.Module):
         self.up_fine = _Blocks(fine, depths[0] + 1, embedding)
         self.query = nn.Conv2d(fine, settings.pointer, 1)
         self.key = nn.Conv2d(middle, settings.pointer, 1)
-        self.leave = leave(fine, _COPIES + 2 + 3)  # logits of the copies, paint and background; the velocity
+        # Logits of the copies, paint and background; the velocity; the logarithm of the copies' brightness.
+        self.leave = leave(fine, _COPIES + 2 + 3 + 1)
 
     def forward(
         self,
@@ -142,11 +144,15 @@ class PriorNetwork(nn.Module):
         fine = self.up_fine(self.join_fine(torch.cat([self.from_middle(middle), fine], 1)), embedding)
         looked_up = self._look_up(fine, picture, image, alpha_picture)
         head = self.leave(fine).unflatten(0, (-1, VIEWS))
-        weights, velocity = self._weights(head, keep, travels), head[:, :, _COPIES + 2 :]
+        weights, velocity = self._weights(head, keep, travels), head[:, :, _COPIES + 2 : -1]
         level, noise = levels(time)
-        copies = carried[:, :, : 3 * RULES].reshape(-1, VIEWS, RULES, 3, height, width)
         painted = level * noisy - noise * velocity
-        choice = torch.cat([copies, looked_up[:, :, None], painted[:, :, None]], 2)  # the background is 0
+        copies = carried[:, :, : 3 * RULES].reshape(-1, VIEWS, RULES, 3, height, width)
+        copies = torch.cat([copies, looked_up[:, :, None]], 2)
+        # The other side is lit otherwise: colours, which span -1 to 1, are multiplied from black on. Normals stay.
+        light = head[:, :, -1:, None].clamp(-_LIGHT, _LIGHT) * (1 - flags[:, DOMAIN, None, None, None, None, None])
+        copies = (copies + 1) * light.exp() - 1
+        choice = torch.cat([copies, painted[:, :, None]], 2)  # the background is 0
         clean = (weights[:, :, : _COPIES + 1, None] * choice).sum(2)
         return clean, 1 - weights[:, :, _COPIES + 1 :]
 

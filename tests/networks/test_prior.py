@@ -74,7 +74,7 @@ def test_every_candidate_can_be_chosen(choice):
     made, given = evenly(), inputs()
     bias = made.leave[2].bias.data.view(-1, 4)  # the four pixels of a square
     bias[choice] = 100.0
-    bias[7:] = torch.tensor([0.1, 0.2, 0.3])[:, None]
+    bias[7:10] = torch.tensor([0.1, 0.2, 0.3])[:, None]
     clean, coverage = run(made, given)
     velocity = torch.tensor([0.1, 0.2, 0.3])[:, None, None].expand(3, SIZE, SIZE)
     painted = -levels(given["time"])[1] * velocity
@@ -85,6 +85,18 @@ def test_every_candidate_can_be_chosen(choice):
         expected = candidates(given)[:, :, choice] + (painted if choice == 5 else 0)
         torch.testing.assert_close(clean, expected, atol=1e-5, rtol=0)
         assert (coverage == 1).all()
+
+
+def test_light_makes_copied_colours_brighter_and_leaves_normals():
+    made, given = evenly(), inputs()
+    bias = made.leave[2].bias.data.view(-1, 4)
+    bias[1], bias[10] = 100.0, 0.4  # the nearest colour, brighter
+    clean, _ = run(made, given)
+    normal = given["flags"][:, DOMAIN] == 1
+    assert 0 < normal.sum() < len(normal)
+    copy = candidates(given)[:, :, 1]
+    torch.testing.assert_close(clean[~normal], (copy[~normal] + 1) * np.exp(0.4) - 1, atol=1e-5, rtol=0)
+    torch.testing.assert_close(clean[normal], copy[normal], atol=1e-5, rtol=0)
 
 
 def test_hidden_picture_leaves_no_trace_of_its_colours():
