@@ -23,7 +23,7 @@ from soar.datasets.calibration import parse_calibration
 from soar.datasets.qualisys import read_qualisys
 from soar.datasets.recordings import VideoFile
 from soar.datasets.sequence import Sequence
-from soar.workflow import STAGES
+from soar.workflow import STAGES, Workflow
 from tests.conftest import ROOT, model_file
 
 DEMO = ROOT / "data" / "datasets" / "demo"
@@ -113,7 +113,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         for name in ("OMP", "MKL", "OPENBLAS"):
             patch.setenv(f"{name}_NUM_THREADS", "1")  # the command line sets them; so they are put back
         patch.setenv("OPENCV_FOR_THREADS_NUM", "1")
-        for name, stage in STAGES.items():
+        flow = Workflow({"overrides": OPTIONS})
+        for name, stage in ((name, STAGES[name]) for name in flow.stages("capture")):
             cameras = (TRAIN if stage.cameras == "train" else CAMERAS) if stage.per_camera else (None,)
             for camera in cameras:
                 assert run(name, camera) == 0, (name, camera)
