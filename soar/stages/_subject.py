@@ -51,11 +51,19 @@ def archives(folder: Path, names: Iterable[str], frames: int) -> dict[str, Image
     """
     if frames == 0:
         raise SubjectError("the sequence has no frames", cure="choose a longer clip or another frame range")
-    found = {name: ImageArchive(folder / f"{name}.zip") for name in names}
-    for archive in found.values():
-        if len(archive) != frames:
-            raise ArtifactError(
-                f"{archive.path} does not belong to this sequence", expected=f"{frames} images", got=str(len(archive)),
-                cure="delete the file and run snakemake; it is made again",
-            )  # fmt: skip
+    return {name: archive(folder / f"{name}.zip", frames) for name in names}
+
+
+def archive(path: Path, frames: int, plane: str = "") -> ImageArchive:
+    """The images of an archive, or of one of its planes.
+
+    Raises:
+        ArtifactError: it does not hold an image for each of the sequence's ``frames``.
+    """
+    found = ImageArchive(path, plane)
+    if len(found) != frames:
+        raise ArtifactError(
+            f"{path} does not belong to this sequence", expected=f"{frames} images {plane}".strip(),
+            got=str(len(found)), cure="delete the file and run snakemake; it is made again",
+        )  # fmt: skip
     return found

@@ -21,7 +21,7 @@ from soar.perception.roi import Roi
 from soar.progress import track
 from soar.report.pictures import composite, fit, grid, overlay_mask, spread, to_uint8
 from soar.stages import Job
-from soar.stages._given import given_plane
+from soar.stages._subject import archive
 
 _SHOWN = 6  # frames on the evidence sheet
 _CELL = (360, 480)  # width and height of a picture on the sheet, pixels
@@ -41,7 +41,7 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
         )
     found: Iterator[np.ndarray]
     if "given" in inputs:
-        found = (alpha / np.float32(255) for alpha in given_plane(inputs["given"], "alpha", len(frames)))
+        found = (alpha / np.float32(255) for alpha in archive(inputs["given"], len(frames), "alpha"))
     else:
         found = _estimated(frames, record, mask_provider(cfg["masks"], Path(inputs["models"]), job.threads))
     figures: list[MaskFigures] = []

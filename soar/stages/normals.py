@@ -22,7 +22,7 @@ from soar.progress import track
 from soar.raster import Pinhole, RasterSettings
 from soar.report.pictures import colour_normals, composite, grid, spread
 from soar.stages import Job
-from soar.stages._given import given_plane
+from soar.stages._subject import archive
 
 _SHOWN = 4  # frames on the evidence sheet
 
@@ -89,7 +89,7 @@ def _estimated(
 def _given(inputs: Mapping[str, Path], crops: Mapping[str, np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The dataset's own maps, cut as the crops were."""
     frames = len(Sequence.read(inputs["sequence"]))
-    planes = [given_plane(inputs["given"], side, frames) for side in ("front", "back")]
+    planes = [archive(inputs["given"], frames, side) for side in ("front", "back")]
     scale = float(crops["scale"])
     for frame, rect in zip(crops["frame_index"].tolist(), crops["rect"], strict=True):
         front, back = (cropped_normals(plane[frame], scale, rect) for plane in planes)

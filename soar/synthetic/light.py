@@ -31,9 +31,3 @@ def draw_light(rng: np.random.Generator, settings: LightSettings) -> Light:
         tuple(map(tuple, sky.tolist())), direction, tuple((key * tint()).tolist()), float(rng.uniform(*settings.wrap)),
         float(exposure * rng.uniform(0.8, 1.2)),
     )  # fmt: skip
-
-
-def even_light() -> Light:
-    """The same light from everywhere: pictures show albedo under the sky that each point sees."""
-    sky = ((1.0, 1.0, 1.0), *((0.0, 0.0, 0.0),) * 8)
-    return Light(sky, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, 1.0)

@@ -13,7 +13,6 @@ from soar.errors import ModelFileError
 from soar.geometry.meshes import vertex_normals
 from soar.synthetic import native
 from soar.synthetic.garments import NOT_WORN
-from soar.synthetic.light import even_light
 from soar.synthetic.records import pack
 from soar.synthetic.scene import People
 from soar.synthetic.wardrobe import Helpers
@@ -22,7 +21,12 @@ from tests.conftest import model_file
 
 def test_records_are_as_long_as_the_native_structs(people: People) -> None:
     sizes = native.record_sizes(native.people())
-    records = (people.wardrobe.anchors, people.subject("train", 0).person, NOT_WORN, even_light())
+    records = (
+        people.wardrobe.anchors,
+        people.subject("train", 0).person,
+        NOT_WORN,
+        people.light(people.subject("train", 0)),
+    )
     assert [len(pack(record)) for record in records] == sizes[: len(native.RECORDS)]
 
 

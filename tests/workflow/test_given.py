@@ -16,7 +16,7 @@ from soar.datasets.planes import cropped_normals
 from soar.errors import ArtifactError, ConfigError
 from soar.health import Health
 from soar.perception.keypoints import Keypoints
-from soar.stages._given import given_plane
+from soar.stages._subject import archive
 from soar.workflow import STAGES, Workflow, folders, output_paths
 from tests.conftest import model_file
 
@@ -186,6 +186,6 @@ def test_every_stage_leaves_an_avatar_pictures_and_provenance(made: Path) -> Non
 def test_maps_of_another_clip_are_named(made: Path, tmp_path: Path) -> None:
     path = shutil.copy(made / "maps" / "a000.zip", tmp_path)
     with pytest.raises(ArtifactError, match="does not belong to this sequence"):
-        given_plane(Path(path), "alpha", 6)
+        archive(Path(path), 6, "alpha")
     with pytest.raises(ArtifactError, match="does not belong to this sequence"):
-        given_plane(Path(path), "depht", 5)
+        archive(Path(path), 5, "depht")
