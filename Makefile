@@ -24,7 +24,7 @@ $(STAMP): pyproject.toml setup.py constraints.txt
 	"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11) and "SOAR needs Python 3.11 or newer")'
 	"$(PYTHON)" -m venv $(VENV)
 	"$(BIN)/python" -m pip install --quiet --upgrade pip setuptools wheel -c constraints.txt
-	"$(BIN)/python" -m pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev]'
+	"$(BIN)/python" -m pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev,imagedream]'
 	@touch $(STAMP)
 
 clean:

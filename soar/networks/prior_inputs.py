@@ -37,6 +37,10 @@ the person's and 0 if it is the body's."""
 REACH = 0.11
 """How far beyond the body's outline colours are carried, as a share of the picture's side."""
 
+CANONICAL_CENTRE = (0.0, -0.1, 0.1)
+"""Middle of the cube of side 2 m that canonical coordinates are normalised by: metres on the mean shape at rest, x to
+its left, y backward, z up."""
+
 SEEN = 0.5
 """A pixel counts as the person's, or the body's, above this alpha."""
 
@@ -54,6 +58,32 @@ def signature(size: int) -> Signature:
         "flags": (None, 3),
     }
     return Signature(inputs, {"clean": (*views, 3, size, size), "coverage": (*views, 1, size, size)})
+
+
+def assemble(
+    picture: np.ndarray, geometry: np.ndarray, alpha: np.ndarray, normals: bool, alpha_known: bool
+) -> dict[str, np.ndarray]:
+    """The network's inputs for one sample, without batch axis and without ``noisy`` and ``time``, conditioned.
+
+    Args:
+        picture: (3, H, W) condition picture, in [-1, 1] before grey.
+        geometry: (5, 7, H, W) of the views and, last, of the picture.
+        alpha: (5, 1, H, W) of the person.
+        normals: the pictures are normal maps, not colours.
+        alpha_known: tell the person's alpha of the views; else the body's stands in for it.
+    """
+    reach = round(REACH * alpha.shape[-1])
+    flags = np.zeros(3, np.float32)
+    flags[DOMAIN], flags[CONDITIONED], flags[ALPHA_KNOWN] = normals, 1, alpha_known
+    return {
+        "image": picture,
+        "geometry": geometry,
+        "alpha": alpha if alpha_known else np.concatenate([geometry[:VIEWS, BODY], alpha[VIEWS:]]),
+        "carried": carried_normals(geometry[:VIEWS], reach)
+        if normals
+        else carried(picture, alpha[VIEWS, 0], geometry[VIEWS], geometry[:VIEWS], reach),
+        "flags": flags,
+    }
 
 
 # A mirror through the body along its depth (y), all but forgetting depth; and the other half of the body (x).

@@ -12,12 +12,13 @@ from soar.avatar.articulate import unit
 from soar.avatar.field import Field, prefit
 from soar.avatar.settings import AvatarSettings
 from soar.avatar.surfels import SCALE_RANGE, Avatar
+from soar.errors import ConfigError
 from soar.optimise.uniform import UniformAdam
 
 
 @dataclasses.dataclass(frozen=True)
 class Rates:
-    """Adam step sizes: metres, radians, colour units, log-radii; ``field`` for grid and networks."""
+    """Adam step sizes: metres, radians, colour units, log-radii; ``field`` for grid and networks; 0 holds still."""
 
     positions: float
     normals: float
@@ -39,7 +40,7 @@ class Surface(nn.Module):
         super().__init__()
         self.start = start
         self.positions = nn.Parameter(start.positions.clone())
-        self.normals = nn.Parameter(start.normals)
+        self.normals = nn.Parameter(start.normals.contiguous())
         self.field: Field | None = None
         if settings.attributes == "field":
             self.field = Field(start.positions, start.colours, start.scales, settings.field, generator)
@@ -57,18 +58,35 @@ class Surface(nn.Module):
     def optimisers(self, rates: Rates, shared: bool) -> list[torch.optim.Optimizer]:
         """Adam for normals and attributes, and for the positions either Adam or, ``shared``, :class:`UniformAdam`.
 
-        Each group keeps its first rate as ``initial``.
+        Each group keeps its first rate as ``initial``. What has rate 0 stays as it is and receives no gradient; scales
+        of rate 0 hold a field's too.
+
+        Raises:
+            ConfigError: every rate is 0.
         """
-        groups = [([self.normals], rates.normals)]
+        rated = [([self.normals], rates.normals)]
         if self.field is not None:
-            groups.append((list(self.field.parameters()), rates.field))
+            scale = list(self.field.scale.parameters())
+            held = set(map(id, scale))
+            rated.append(([p for p in self.field.parameters() if id(p) not in held], rates.field))
+            rated.append((scale, rates.field if rates.scales > 0 else 0.0))
         else:
-            groups += [([self.colours], rates.colours), ([self.log_scales], rates.scales)]
-        others = [{"params": p, "lr": r, "initial": r} for p, r in groups]
-        positions = {"params": [self.positions], "lr": rates.positions, "initial": rates.positions}
-        if shared:
-            return [UniformAdam([positions], rates.positions), torch.optim.Adam(others, eps=1e-15, fused=True)]
-        return [torch.optim.Adam([positions, *others], eps=1e-15, fused=True)]
+            rated += [([self.colours], rates.colours), ([self.log_scales], rates.scales)]
+        for parameters, rate in ([self.positions], rates.positions), *rated:
+            for parameter in parameters:
+                parameter.requires_grad_(rate > 0)
+        groups = [{"params": p, "lr": r, "initial": r} for p, r in rated if r > 0]
+        positions = [{"params": [self.positions], "lr": rates.positions, "initial": rates.positions}]
+        optimisers: list[torch.optim.Optimizer] = []
+        if rates.positions > 0 and shared:
+            optimisers.append(UniformAdam(positions, rates.positions))
+        elif rates.positions > 0:
+            groups = [*positions, *groups]
+        if groups:
+            optimisers.append(torch.optim.Adam(groups, eps=1e-15, fused=True))
+        if not optimisers:
+            raise ConfigError("nothing would move: every rate is 0", cure="raise a rate, or ask for 0 steps")
+        return optimisers
 
     @torch.no_grad()
     def avatar(self) -> Avatar:

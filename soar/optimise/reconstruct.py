@@ -10,36 +10,73 @@ from torch import Tensor
 
 from soar.avatar.articulate import Articulation, pose
 from soar.avatar.settings import AvatarSettings
-from soar.avatar.surfels import Avatar, nearest
-from soar.errors import NumericalError
+from soar.avatar.surfels import Avatar
 from soar.losses.lpips import Lpips
 from soar.optimise.checkpoint import Checkpoint
+from soar.optimise.descent import DescentSettings, Terms, descend
 from soar.optimise.objective import Targets, Weights, image_terms, surface_terms
-from soar.optimise.parameters import Rates, Surface, cosine_decay
-from soar.optimise.sobolev import Sobolev
+from soar.optimise.parameters import Surface
 from soar.optimise.views import Views, epochs
-from soar.progress import track
 from soar.raster import RasterSettings, rasterise_both
 
 
 @dataclasses.dataclass(frozen=True)
-class ReconstructSettings:
+class ReconstructSettings(DescentSettings):
     """The loop (``conf/reconstruct``)."""
 
-    steps: int
     start: Literal["paint", "grey"]
     lpips: Literal["alex", "vgg"]
-    rates: Rates
-    final_rate: float
     weights: Weights
-    laplacian_neighbours: int
-    smoothing: int
-    symmetry: float
     mask_ramp: tuple[float, float]
-    reskin_every: int
     window_margin: int
     cache_mb: int
-    checkpoint_seconds: float
+
+
+class Observation:
+    """What the training crops ask of a surface: the terms of one crop at a time.
+
+    Args:
+        views: the training cameras.
+        articulation: the body's motion; its frames are what ``views[k].frames`` index.
+        lpips: the perceptual distance, None where its weights are zero.
+        settings, raster: of the loop and the rasteriser.
+    """
+
+    def __init__(
+        self,
+        views: list[Views],
+        articulation: Articulation,
+        lpips: Lpips | None,
+        settings: ReconstructSettings,
+        raster: RasterSettings,
+    ) -> None:
+        self.views = [view.hardened(*settings.mask_ramp).tightened(settings.window_margin) for view in views]
+        self.articulation, self.weights, self.raster = articulation, settings.weights, raster
+        self.targets = Targets(self.views, lpips, settings.cache_mb)
+
+    def terms(
+        self,
+        surface: Surface,
+        attributes: tuple[Tensor, Tensor],
+        blend: Tensor,
+        ring: Tensor,
+        view: int,
+        index: int,
+        background: Tensor,
+    ) -> Terms:
+        """The terms of crop ``index`` of camera ``view``, on ``background`` (3,), with their weights.
+
+        ``attributes`` are the surface's; ``blend`` and ``ring`` as in :func:`~soar.optimise.descent.descend`.
+        """
+        crop, start = self.views[view], surface.start
+        colours, scales = attributes
+        transforms = self.articulation.in_camera(int(crop.frames[index]), crop.T_cam_from_world)
+        positions, normals = pose(surface.positions, surface.normals, blend, transforms)
+        surfels = (positions, normals, scales, colours, start.occlusion)
+        front, back = rasterise_both(*surfels, crop.pinhole(index), settings=self.raster)
+        terms = image_terms(front, back, self.targets, view, index, background, self.weights)
+        terms |= surface_terms(surface.positions, scales, start, ring[:, 1:], self.weights)
+        return {name: (getattr(self.weights, name), value) for name, value in terms.items()}
 
 
 def reconstruct(
@@ -75,77 +112,14 @@ def reconstruct(
     Raises:
         NumericalError: a term or a gradient is not finite; the state before that step is in the checkpoint.
     """
-    views = [view.hardened(*settings.mask_ramp).tightened(settings.window_margin) for view in views]
+    observed = Observation(views, articulation, lpips, settings, raster)
     generator = torch.Generator().manual_seed(seed)
     surface = Surface(start, avatar, generator).to(start.positions.device)
-    order = epochs(views, settings.steps, generator)
+    order = epochs(observed.views, settings.steps, generator)
     backgrounds = torch.rand(settings.steps, 3, generator=generator).to(start.positions)
-    optimisers = surface.optimisers(settings.rates, shared=settings.smoothing > 0)
-    _, ring = nearest(start.rest_positions, start.rest_positions, settings.laplacian_neighbours + 1)
-    spread = Sobolev.of(start.rest_positions, ring, settings.smoothing, left.to(start.positions), settings.symmetry)
-    targets = Targets(views, lpips, settings.cache_mb)
-    curves: dict[str, list[float]] = {}
-    first = 0
-    if (state := checkpoint.load()) is not None:
-        surface.load_state_dict(state["surface"])
-        for optimiser, stored in zip(optimisers, state["optimisers"], strict=True):
-            optimiser.load_state_dict(stored)
-        first, curves = state["step"], state["curves"]
 
-    def save(step: int) -> None:
-        checkpoint.save(
-            {
-                "step": step,
-                "surface": surface.state_dict(),
-                "optimisers": [o.state_dict() for o in optimisers],
-                "curves": curves,
-            }
-        )
+    def look(step: int, blend: Tensor, ring: Tensor) -> Terms:
+        return observed.terms(surface, surface.attributes(), blend, ring, *order[step], backgrounds[step])
 
-    def require_finite(what: str, values: dict[str, Tensor]) -> None:
-        if not bool(torch.isfinite(torch.stack(list(values.values()))).all()):
-            save(step)
-            raise _not_finite(what, values, step, checkpoint)
-
-    def look(view: int, index: int, background: Tensor) -> dict[str, Tensor]:
-        """The terms of one crop."""
-        colours, scales = surface.attributes()
-        transforms = articulation.in_camera(int(views[view].frames[index]), views[view].T_cam_from_world)
-        positions, normals = pose(surface.positions, surface.normals, blend, transforms)
-        pinhole = views[view].pinhole(index)
-        front, back = rasterise_both(positions, normals, scales, colours, start.occlusion, pinhole, settings=raster)
-        terms = image_terms(front, back, targets, view, index, background, settings.weights)
-        return terms | surface_terms(surface.positions, scales, start, ring[:, 1:], settings.weights)
-
-    for step in track(range(first, settings.steps), "reconstruct"):
-        if step % settings.reskin_every == 0 or step == first:
-            # Only where the skinning weights are renewed are they a function of the state that is saved.
-            if step > first and checkpoint.due():
-                save(step)
-            blend = articulation.blend(surface.positions, start.neighbours)
-        terms = look(*order[step], backgrounds[step])
-        weighted = {name: getattr(settings.weights, name) * value for name, value in terms.items()}
-        require_finite("loss term", weighted)
-        decay = cosine_decay(step, settings.steps, settings.final_rate)
-        for group in (g for optimiser in optimisers for g in optimiser.param_groups):
-            group["lr"] = group["initial"] * decay
-        surface.zero_grad(set_to_none=True)
-        torch.stack(list(weighted.values())).sum().backward()
-        gradients = {name: p.grad.sum() for name, p in surface.named_parameters() if p.grad is not None}
-        require_finite("gradient of", gradients)
-        surface.positions.grad = spread(surface.positions.grad)
-        for optimiser in optimisers:
-            optimiser.step()
-        for name, value in terms.items():
-            curves.setdefault(name, []).append(float(value.detach()))
+    curves = descend("reconstruct", surface, articulation, left, settings, checkpoint, look)
     return surface.avatar(), curves
-
-
-def _not_finite(what: str, values: dict[str, Tensor], step: int, checkpoint: Checkpoint) -> NumericalError:
-    culprits = [name for name, value in values.items() if not bool(torch.isfinite(value))]
-    return NumericalError(
-        f"reconstruction stopped at step {step}: {what} {', '.join(culprits)} is not finite",
-        expected="finite numbers",
-        got=", ".join(f"{name} = {float(value.detach())}" for name, value in values.items()),
-        cure=f"lower the rates in conf/reconstruct or look at the inputs; the last good state is in {checkpoint.path}",
-    )

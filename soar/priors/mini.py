@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+import torch
+from torch import Generator, Tensor
 
+from soar.errors import NumericalError
 from soar.models.onnx import session
 from soar.networks import DATA
-from soar.networks.prior_inputs import CONDITIONED, signature
+from soar.networks.diffusion import noised
+from soar.networks.prior_inputs import CONDITIONED, assemble, signature
+from soar.priors.protocol import VIEWS, Condition, Views
 
 BUNDLED = DATA / "prior.onnx"
 """The network that comes with the package; ``docs/networks.md`` is its model card."""
@@ -58,3 +65,76 @@ class MiniPrior:
             return clean[0], coverage[0]
         with_picture, without = clean
         return without + np.float32(guidance) * (with_picture - without), coverage[0]
+
+
+@dataclasses.dataclass(frozen=True)
+class MiniSettings:
+    """Node ``prior`` with the provider ``mini``.
+
+    Attributes:
+        provider: ``mini``.
+        network: an ONNX file of the same signature, or None for the bundled one.
+        size: side of its pictures, pixels.
+        guidance: see :meth:`MiniPrior.__call__`.
+    """
+
+    provider: Literal["mini"]
+    network: str | None
+    size: int
+    guidance: float
+
+
+class MiniProvider:
+    """The provider ``mini``; see :class:`soar.priors.protocol.MultiViewPrior`. Text says nothing to it.
+
+    Pictures are distilled in [-1, 1] before grey, weighted by the renders' alpha: what the estimate says of the
+    background must not pull at the rim. Of colours the prior is told the renders' alpha, since their shape is final by
+    then; of normals, whose shape is in the making, the body's.
+    """
+
+    def __init__(self, prior: MiniPrior, guidance: float) -> None:
+        self.prior, self.guidance, self.size = prior, guidance, prior.size
+
+    @classmethod
+    def bundled(cls, options: MiniSettings, models: Path, threads: int) -> MiniProvider:
+        """The provider of a configuration; ``models`` is ignored, the network comes with the package.
+
+        Raises:
+            ModelFileError: as :class:`MiniPrior`.
+        """
+        return cls(MiniPrior(options.network, options.size, threads), options.guidance)
+
+    def prepare(self, conditions: Sequence[Condition]) -> list[Condition]:
+        """See the protocol: there is nothing to encode."""
+        return list(conditions)
+
+    def estimate(self, prompt: Condition, views: Views, time: float, generator: Generator) -> Tensor:
+        """See the protocol."""
+        return (self._clean(prompt, views, time, generator) + 1) / 2
+
+    def loss(self, prompt: Condition, views: Views, time: float, generator: Generator) -> Tensor:
+        """See the protocol."""
+        difference = _before_grey(views.pictures, views.alpha) - self._clean(prompt, views, time, generator)
+        return 0.5 * (views.alpha.detach() * difference.square()).sum() / VIEWS
+
+    def _clean(self, prompt: Condition, views: Views, time: float, generator: Generator) -> Tensor:
+        """(4, 3, S, S) estimate in [-1, 1] before grey, on the device of the views."""
+        pictures = _before_grey(views.pictures, views.alpha).detach().cpu().float()
+        given = assemble(
+            _before_grey(prompt.picture, prompt.alpha).detach().cpu().float().numpy(),
+            torch.cat([views.geometry, prompt.geometry[None]]).detach().cpu().float().numpy(),
+            torch.cat([views.alpha, prompt.alpha[None]]).detach().cpu().float().numpy(),
+            normals=prompt.domain == "normal",
+            alpha_known=prompt.domain == "colour",
+        )
+        noise = torch.randn(pictures.shape, generator=generator, device=generator.device).cpu()
+        noisy = noised(pictures[None], noise[None], torch.tensor([time]))[0]
+        clean, _ = self.prior(noisy.numpy(), time, given, self.guidance)
+        if not np.isfinite(clean).all():
+            raise NumericalError("the prior mini gave NaN or infinity", cure="report this; its inputs were finite")
+        return torch.from_numpy(clean).clamp(-1, 1).to(views.pictures)
+
+
+def _before_grey(pictures: Tensor, alpha: Tensor) -> Tensor:
+    """Pictures in [0, 1], multiplied by alpha, as the network has them: in [-1, 1], where grey is 0."""
+    return 2 * pictures - alpha

@@ -6,6 +6,8 @@ import dataclasses
 
 import numpy as np
 
+from soar.geometry.cameras import look_at
+
 
 @dataclasses.dataclass(frozen=True)
 class Orbit:
@@ -69,8 +71,4 @@ class Orbit:
         """(4, 4) pose of the camera ``angle`` radians on from the front, counter-clockwise seen from above."""
         side = np.cross(self.up, self.front)
         outward = np.cos(angle) * self.front + np.sin(angle) * side
-        right = np.cross(self.up, outward)
-        R = np.stack([right, -self.up, -outward])
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = R, -R @ (self.centre + self.distance * outward)
-        return T
+        return look_at(self.centre, -outward, self.up, self.distance)

@@ -9,21 +9,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from soar.artifacts import read_npz
-from soar.avatar.articulate import Articulation
+from soar.avatar.articulate import Articulation, pose
 from soar.avatar.puppet import Puppet
 from soar.avatar.surfels import Avatar
 from soar.body.motion import BodyMotion
 from soar.body.record import BodyModel
 from soar.config import settings
 from soar.datasets.sequence import Sequence
+from soar.losses.lpips import Lpips
 from soar.metrics.image import white_crop_psnr
 from soar.metrics.masked import iou
+from soar.optimise.reconstruct import ReconstructSettings
 from soar.optimise.views import Views
-from soar.raster import RasterSettings
+from soar.raster import Pinhole, RasterSettings, rasterise
+from soar.report.orbit import Orbit
 from soar.report.pictures import spread
 from soar.report.shots import Shot
+
+_FOV = 0.5  # radians, of pictures of the canonical pose
+_MARGIN = 0.04  # free share of them on each side
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,6 +77,28 @@ class Observed(Rig):
         """Renders of ``count`` crops, spread over every training camera's time."""
         puppet = self.puppet(avatar)
         return [(view, i, Shot.beside(view, i, puppet)) for view in self.views for i in spread(len(view), count)]
+
+
+def perceptual(inputs: Mapping[str, Path], options: ReconstructSettings) -> Lpips | None:
+    """The perceptual distance of the training crops, if it has a weight."""
+    if options.weights.lpips or options.weights.normal_lpips:
+        return Lpips.load(inputs["models"] / f"lpips_{options.lpips}.safetensors", options.lpips)
+    return None
+
+
+def canonical_shots(rig: Rig, avatar: Avatar, count: int, height: int) -> list[Shot]:
+    """The avatar in its canonical pose from ``count`` sides, front first, then its left; ``height`` in pixels."""
+    body = rig.body
+    orbit = Orbit.around(avatar.positions.numpy(), body.up.numpy(), body.front.numpy(), height, _FOV, _MARGIN)
+    pinhole = Pinhole.from_K(orbit.K, orbit.width, orbit.height)
+    one = torch.ones(len(avatar), 1)
+    shots = []
+    for k in range(count):
+        T = torch.from_numpy(orbit.T_cam_from_world(k * 2 * np.pi / count)).float()
+        positions, normals = pose(avatar.positions, avatar.normals, one, T[None, :3])
+        surfels = (positions, normals, avatar.scales, avatar.colours, avatar.occlusion)
+        shots.append(Shot.of(rasterise(*surfels, pinhole, side="front", settings=rig.raster)))
+    return shots
 
 
 def agreement(shots: list[tuple[Views, int, Shot]]) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Measure the avatar, and the unoptimised baseline beside it, against every camera."""
+"""Measure the avatar, and beside it what it was before the refinement and the unoptimised baseline, in every camera."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
     options = settings(EvaluateSettings, cfg["evaluate"], "evaluate")
     sequence = Sequence.read(inputs["sequence"])
     rig = Rig.read(inputs, cfg)
-    ours, paint = (rig.puppet(Avatar.read(inputs[name])) for name in ("avatar", "paint"))
+    places = {_OURS: "avatar", "unrefined": "unrefined", "paint": "paint"}
+    puppets = {method: rig.puppet(Avatar.read(inputs[name])) for method, name in places.items()}
     lpips = Lpips.load(inputs["models"] / f"lpips_{options.lpips}.safetensors", options.lpips)
     cameras: dict[str, Any] = {}
     table: list[dict[str, Any]] = []
@@ -45,9 +46,7 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
     evidence: list[tuple[str, np.ndarray]] = []
     for name in sequence.names:
         split = "train" if name in sequence.train else "eval"
-        camera = _Camera(
-            Views.of(name, read_npz(inputs["crops"] / f"{name}.npz")), {_OURS: ours, "paint": paint}, options
-        )
+        camera = _Camera(Views.of(name, read_npz(inputs["crops"] / f"{name}.npz")), puppets, options)
         rows = [
             {"camera": name, "split": split, "frame": sequence.frame_ids[frame], "method": method} | scores
             for frame, method, scores in camera.scores(lpips)
@@ -63,7 +62,8 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
         truth, shots, _ = camera.look(camera.indices[round(options.sheet_frame * (len(camera.indices) - 1))])
         sheet += comparison(f"{name} ({split})", truth, shots, _OURS, options.sheet_height)
         evidence += agreement(f"{name} ({split})", truth, shots[_OURS], options.sheet_height)
-    bor, bor_area = body_occlusion_ratio(ours.avatar.occlusion, ours.avatar.scales)
+    ours = puppets[_OURS].avatar
+    bor, bor_area = body_occlusion_ratio(ours.occlusion, ours.scales)
     metrics = {"settings": _protocol(options), "cameras": cameras, "bor": {"surfels": bor, "area": bor_area}}
     write_json(outputs["metrics"], metrics)
     write_text(outputs["table"], _csv(table))

@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from soar.artifacts import read_npz, write_image, write_npz
-from soar.body.lbs import pose_vertices
 from soar.body.motion import BodyMotion
 from soar.body.record import BodyModel
 from soar.config import settings
@@ -19,9 +17,10 @@ from soar.datasets.sequence import Sequence
 from soar.health import Health
 from soar.perception.normals import NormalProvider, encode, normal_provider, sign_test
 from soar.progress import track
-from soar.raster import Pinhole, RasterSettings
+from soar.raster import RasterSettings
 from soar.report.pictures import colour_normals, composite, grid, spread
 from soar.stages import Job
+from soar.stages._posed import posed_in_crops
 from soar.stages._subject import archive
 
 _SHOWN = 4  # frames on the evidence sheet
@@ -75,14 +74,8 @@ def _estimated(
     provider: NormalProvider, model: BodyModel, motion: BodyMotion, crops: Mapping[str, np.ndarray]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Front and back normals (H, W, 3) float32 of every crop, from its picture and the posed body."""
-    _, height, width = crops["alpha"].shape
     faces = model.faces[~model.interior]
-    pose = torch.from_numpy(np.asarray(crops["T_cam_from_world"], np.float32))
-    rotations = motion.rotations
-    for i, frame in enumerate(crops["frame_index"].tolist()):
-        world = pose_vertices(model, motion.betas, rotations[frame], motion.translation[frame])
-        vertices = world @ pose[:3, :3].T + pose[:3, 3]
-        pinhole = Pinhole.from_K(crops["K"][i], width, height)
+    for i, vertices, pinhole in posed_in_crops(model, motion, crops, range(len(crops["rgb"]))):
         yield provider.maps(crops["rgb"][i], crops["alpha"][i], vertices, faces, pinhole)
 
 

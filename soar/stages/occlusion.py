@@ -7,20 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from soar.artifacts import write_image, write_json
-from soar.avatar.articulate import pose
 from soar.avatar.surfels import Avatar
 from soar.config import settings
 from soar.health import Health
 from soar.optimise.occlusion import OcclusionSettings, occlusion
-from soar.raster import Pinhole, rasterise
-from soar.report.orbit import Orbit
 from soar.report.pictures import grid
-from soar.report.shots import Shot
 from soar.stages import Job
-from soar.stages._rig import Observed
+from soar.stages._rig import Observed, canonical_shots
 
 _SIZE = 480  # pixels, height of each picture on the evidence sheet
 _SIDES = ("front", "left", "back", "right")
@@ -49,15 +44,6 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
 
 def _sheet(observed: Observed, avatar: Avatar) -> np.ndarray:
     """The avatar in the canonical pose from four sides: photograph-like above, tau below; red was never seen."""
-    body = observed.body
-    orbit = Orbit.around(avatar.positions.numpy(), body.up.numpy(), body.front.numpy(), _SIZE, fov=0.5, margin=0.04)
-    pinhole = Pinhole.from_K(orbit.K, orbit.width, orbit.height)
-    one = torch.ones(len(avatar), 1)
-    shots = []
-    for k in range(len(_SIDES)):
-        T = torch.from_numpy(orbit.T_cam_from_world(k * np.pi / 2)).float()
-        positions, normals = pose(avatar.positions, avatar.normals, one, T[None, :3])
-        surfels = (positions, normals, avatar.scales, avatar.colours, avatar.occlusion)
-        shots.append(Shot.of(rasterise(*surfels, pinhole, side="front", settings=observed.raster)))
+    shots = canonical_shots(observed, avatar, len(_SIDES), _SIZE)
     pictures = [shot.on_white() for shot in shots] + [shot.occlusion_on_white() for shot in shots]
     return grid(pictures, len(_SIDES), [*_SIDES, *("tau" for _ in _SIDES)])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,17 +9,17 @@ from typing import Any
 import numpy as np
 import torch
 
-from soar.artifacts import sha256_file, write_image, write_json
+from soar.artifacts import write_image, write_json
 from soar.avatar.settings import AvatarSettings
 from soar.avatar.surfels import Avatar
 from soar.config import settings
 from soar.health import Health
-from soar.losses.lpips import Lpips
 from soar.optimise.checkpoint import Checkpoint
 from soar.optimise.reconstruct import ReconstructSettings, reconstruct
 from soar.report.pictures import composite, grid
 from soar.stages import Job
-from soar.stages._rig import Observed, agreement
+from soar.stages._rig import Observed, agreement, perceptual
+from soar.stages._state import state_key
 
 _SHOWN = 4  # frames of each training camera on the evidence sheet
 _JUDGED = 10  # frames of each training camera in the health numbers
@@ -35,16 +33,13 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
     start = painted.replace(occlusion=torch.ones_like(painted.occlusion))
     if options.start == "grey":
         start = start.replace(colours=torch.full_like(start.colours, 0.5))
-    lpips = None
-    if options.weights.lpips or options.weights.normal_lpips:
-        lpips = Lpips.load(inputs["models"] / f"lpips_{options.lpips}.safetensors", options.lpips)
-    checkpoint = Checkpoint(job.scratch / "state.pt", _key(inputs, cfg, job), options.checkpoint_seconds)
+    checkpoint = Checkpoint(job.scratch / "state.pt", state_key(inputs, cfg, job), options.checkpoint_seconds)
     avatar, curves = reconstruct(
         start,
         observed.articulation,
         observed.body.left,
         observed.views,
-        lpips,
+        perceptual(inputs, options),
         settings(AvatarSettings, cfg["avatar"], "avatar"),
         options,
         observed.raster,
@@ -55,18 +50,6 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
     write_json(outputs["curves"], curves)
     write_image(outputs["evidence"], _sheet(observed, avatar))
     _health(observed, painted, avatar, curves).write(outputs["health"])
-
-
-def _key(inputs: Mapping[str, Path], cfg: Mapping[str, Any], job: Job) -> str:
-    """Digest of everything that determines the result: a state of another run is never continued."""
-    digest = hashlib.sha256(json.dumps([cfg, job.sequence, job.seed], sort_keys=True).encode())
-    for name, path in sorted(inputs.items()):
-        if name == "models":
-            continue  # weights are pinned by their own sha256
-        for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-            if file.is_file() and file.suffix in (".npz", ".json", ".safetensors"):
-                digest.update(f"{name}/{file.name} {sha256_file(file)}\n".encode())
-    return digest.hexdigest()
 
 
 def _sheet(observed: Observed, avatar: Avatar) -> np.ndarray:

@@ -10,15 +10,13 @@ import torch
 from torch import Tensor
 
 from soar.errors import InputError
+from soar.networks.prior_inputs import CANONICAL_CENTRE
 from soar.raster.types import Pinhole
 from soar.synthetic import native
 from soar.synthetic.records import Light, pack
 from soar.synthetic.settings import RenderSettings
 from soar.synthetic.subject import Subject
 from soar.synthetic.wardrobe import Wardrobe
-
-CANONICAL_CENTRE = (0.0, -0.1, 0.1)
-"""Middle of the cube of side 2 m that canonical coordinates are normalised by, metres in the body's axes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +31,7 @@ class Maps:
         layer: (H, W) int32 number in :data:`~soar.synthetic.records.LAYERS`, -1 where nothing is.
         body_normal, body_alpha, body_depth: the same of the naked body in the same pose.
         place: canonical coordinates in [-1, 1]: where the naked body's surface there lies on the mean shape at rest, in
-            a cube of 2 m about :data:`CANONICAL_CENTRE`.
+            a cube of 2 m about :data:`~soar.networks.prior_inputs.CANONICAL_CENTRE`.
     """
 
     colour: Tensor

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from soar.body.record import BodyModel
+from soar.geometry.cameras import look_at
 from soar.raster.types import Pinhole
 from soar.synthetic.light import draw_light
 from soar.synthetic.mannequin import Mannequin, Pose, Rig
@@ -50,11 +51,7 @@ def orbit(
     """
     a, e = math.radians(azimuth), math.radians(elevation)
     forward = -np.array([math.sin(a) * math.cos(e), -math.cos(a) * math.cos(e), math.sin(e)])
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    T = np.eye(4)
-    T[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    T[:3, 3] = -T[:3, :3] @ (np.asarray(centre, float) - distance * forward)
+    T = look_at(np.asarray(centre, float), forward, np.array([0.0, 0.0, 1.0]), distance)
     focal = size * distance / extent
     middle = (size / 2 + shift[0] * size, size / 2 + shift[1] * size)
     return Shot(Pinhole(focal, focal, *middle, size, size), T)

@@ -11,15 +11,15 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from soar.body.parts import bones_of_vertices
 from soar.body.record import BodyModel
 from soar.losses.lpips import Lpips
 from soar.metrics.masked import lpips_features, mlpips, mpsnr
 from soar.networks.diffusion import noised, sample
 from soar.networks.normal_inputs import fill, nearest_known
-from soar.networks.prior_inputs import BODY, PLACE, SEEN, VIEWS, carried
+from soar.networks.prior_inputs import BODY, CANONICAL_CENTRE, PLACE, SEEN, VIEWS, carried
 from soar.priors.mini import MiniPrior
 from soar.synthetic.records import LAYERS, PrintKind
-from soar.synthetic.render import CANONICAL_CENTRE
 from soar.synthetic.subject import Subject
 from soar.train.prior_samples import PriorSamples, Turntable, inputs
 
@@ -28,9 +28,6 @@ FAMILY = "benchmark"
 BACK, SIDES = 2, (1, 3)
 """Views of a turntable that starts at the front."""
 
-_PARTS = (
-    "head", "neck01", "spine04", "root", "upperarm01", "lowerarm01", "wrist", "upperleg01", "lowerleg01", "foot"
-)  # fmt: skip
 _HAIR = [LAYERS.index(name) for name in ("hair", "long_hair", "cap", "brim")]
 
 
@@ -67,14 +64,9 @@ class Parts:
 
     @classmethod
     def of(cls, body: BodyModel) -> Parts:
-        """Every vertex belongs to the nearest ancestor, among the large bones, of its heaviest bone."""
-        parents, names = body.parents.tolist(), body.joint_names
+        """The parts are the large bones, see :func:`soar.body.parts.bones_of_vertices`."""
         known = {"head": 0}
-        labels = []
-        for joint in body.weights.argmax(1).tolist():
-            while names[joint].removesuffix(".L").removesuffix(".R") not in _PARTS:
-                joint = parents[joint]
-            labels.append(known.setdefault(names[joint], len(known)))
+        labels = [known.setdefault(bone, len(known)) for bone in bones_of_vertices(body)]
         return cls(body.v_template.numpy() - np.float32(CANONICAL_CENTRE), np.array(labels))
 
     @functools.cached_property
@@ -106,9 +98,8 @@ def evaluate(
         turntable = samples.turntable(settings.seed + index, FAMILY, picture=0, first=0)
         rng = np.random.default_rng([settings.seed, index])
         noise = rng.standard_normal((VIEWS, 3, prior.size, prior.size), np.float32)
-        people.append(
-            {name: figures(method(turntable, noise), turntable, parts, lpips) for name, method in compared.items()}
-        )
+        truth = Truth(turntable, parts, lpips)
+        people.append({name: truth.figures(method(turntable, noise)) for name, method in compared.items()})
         plainly.append(plain(turntable.posed.dressed.subject))
     rows = {
         method: {name: [person[method][name] for person in people] for name in values}
@@ -179,26 +170,38 @@ def part_means(turntable: Turntable, parts: Parts) -> np.ndarray:
     return np.stack(out)
 
 
-def figures(images: np.ndarray, turntable: Turntable, parts: Parts, lpips: Lpips) -> dict[str, float]:
-    """Figures of pictures (4, 3, S, S) in [-1, 1]; see :func:`evaluate`."""
-    truth = turntable.pictures("colour")[:VIEWS]
-    shown, real = (np.clip((x.transpose(0, 2, 3, 1) + 1) / 2, 0, 1) for x in (images, truth))
-    mask = turntable.alpha[:VIEWS, 0]
+class Truth:
+    """One person's true views, and what judging pictures of them needs of those, computed once."""
 
-    def both(view: int) -> tuple[float, float]:
-        features = [lpips_features(x[view], lpips, mask[view]) for x in (shown, real)]
-        return mpsnr(shown[view], real[view], mask[view]), mlpips(*features, mask[view], lpips)
+    def __init__(self, turntable: Turntable, parts: Parts, lpips: Lpips) -> None:
+        self.lpips, self.mask = lpips, turntable.alpha[:VIEWS, 0]
+        self.pictures = _shown(turntable.pictures("colour")[:VIEWS])
+        self.features = {v: lpips_features(self.pictures[v], lpips, self.mask[v]) for v in (BACK, *SIDES)}
+        layer = turntable.maps[BACK].layer.numpy()
+        head = np.isin(layer, _HAIR) | ((layer == 0) & (parts.map(turntable.body[BACK]) == 0))
+        self.head = head * self.mask[BACK]
 
-    back, sides = both(BACK), np.mean([both(view) for view in SIDES], 0)
-    layer = turntable.maps[BACK].layer.numpy()
-    head = (np.isin(layer, _HAIR) | ((layer == 0) & (parts.map(turntable.body[BACK]) == 0))) * mask[BACK]
-    return {
-        "back_db": back[0],
-        "back_lpips": back[1],
-        "side_db": float(sides[0]),
-        "side_lpips": float(sides[1]),
-        "head_db": mpsnr(shown[BACK], real[BACK], head),
-    }
+    def figures(self, images: np.ndarray) -> dict[str, float]:
+        """Figures of pictures (4, 3, S, S) in [-1, 1]; see :func:`evaluate`."""
+        shown = _shown(images)
+        back, sides = self._both(shown, BACK), np.mean([self._both(shown, view) for view in SIDES], 0)
+        return {
+            "back_db": back[0],
+            "back_lpips": back[1],
+            "side_db": float(sides[0]),
+            "side_lpips": float(sides[1]),
+            "head_db": mpsnr(shown[BACK], self.pictures[BACK], self.head),
+        }
+
+    def _both(self, shown: np.ndarray, view: int) -> tuple[float, float]:
+        features = lpips_features(shown[view], self.lpips, self.mask[view])
+        distance = mlpips(features, self.features[view], self.mask[view], self.lpips)
+        return mpsnr(shown[view], self.pictures[view], self.mask[view]), distance
+
+
+def _shown(images: np.ndarray) -> np.ndarray:
+    """(V, 3, S, S) in [-1, 1] to (V, S, S, 3) in [0, 1]."""
+    return np.clip((images.transpose(0, 2, 3, 1) + 1) / 2, 0, 1)
 
 
 def plain(subject: Subject) -> bool:

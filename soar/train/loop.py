@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
 from soar.artifacts import write_image, write_json, write_text
+from soar.devices import resolve_device
 from soar.errors import ConfigError, NumericalError
 from soar.optimise.checkpoint import Checkpoint
 from soar.train.task import Split, Task
@@ -96,7 +97,7 @@ class Training:
 
     def __init__(self, task: Task, settings: LoopSettings, config: dict[str, Any], folder: Path) -> None:
         self.task, self.settings, self.config, self.folder = task, settings, config, folder
-        self.device = resolve_device(settings.device)
+        self.device = resolve_device(settings.device, "train.device")
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
             # Convolutions on a processor are a third faster with channels last.
@@ -255,24 +256,6 @@ class Training:
         self.optimiser.load_state_dict(state["optimiser"])
         self.step, self.samples, self.seconds = state["step"], state["samples"], state["seconds"]
         self.sums, self.curve = state["sums"], state["curve"]
-
-
-def resolve_device(name: str) -> torch.device:
-    """The device that ``auto``, ``cpu``, ``cuda`` ... stands for.
-
-    Raises:
-        ConfigError: torch knows no such device, or this machine has none.
-    """
-    if name == "auto":
-        return torch.accelerator.current_accelerator() or torch.device("cpu")
-    try:
-        device = torch.device(name)
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise ConfigError(
-            f"train.device: no device {name}", got=str(error).splitlines()[0], cure="use auto or cpu"
-        ) from error
-    return device
 
 
 def _one_thread(worker: int) -> None:

@@ -9,17 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from soar.networks.prior_inputs import (
-    ALPHA_KNOWN,
-    BODY,
-    CONDITIONED,
-    DOMAIN,
-    REACH,
-    RULES,
-    VIEWS,
-    carried,
-    carried_normals,
-)
+from soar.networks.prior_inputs import CONDITIONED, DOMAIN, RULES, VIEWS, assemble
 from soar.synthetic.render import Maps, Posed
 from soar.synthetic.scene import Shot
 from soar.synthetic.settings import SyntheticSettings
@@ -163,19 +153,8 @@ class PriorSamples(PeopleSource):
 
 def inputs(turntable: Turntable, domain: Domain, alpha_known: bool) -> dict[str, np.ndarray]:
     """The network's inputs without batch axis and without ``noisy`` and ``time``, conditioned."""
-    pictures, geometry, alpha = turntable.pictures(domain), turntable.body, turntable.alpha
-    reach = round(REACH * alpha.shape[-1])
-    flags = np.zeros(3, np.float32)
-    flags[DOMAIN], flags[CONDITIONED], flags[ALPHA_KNOWN] = domain == "normal", 1, alpha_known
-    return {
-        "image": pictures[VIEWS],
-        "geometry": geometry,
-        "alpha": alpha if alpha_known else np.concatenate([geometry[:VIEWS, BODY], alpha[VIEWS:]]),
-        "carried": carried_normals(geometry[:VIEWS], reach)
-        if domain == "normal"
-        else carried(pictures[VIEWS], alpha[VIEWS, 0], geometry[VIEWS], geometry[:VIEWS], reach),
-        "flags": flags,
-    }
+    picture = turntable.pictures(domain)[VIEWS]
+    return assemble(picture, turntable.body, turntable.alpha, domain == "normal", alpha_known)
 
 
 def shifted(turntable: Turntable, rng: np.random.Generator, most: float) -> Turntable:

@@ -87,6 +87,13 @@ def test_one_download_serves_all_members_and_nothing_is_done_twice(registry: Reg
     assert float(tensors["head3.weight"].mean()) == 3
 
 
+def test_a_file_may_be_taken_as_it_is(registry: Registry, tmp_path: Path) -> None:
+    taken = dataclasses.replace(registry.models[0], name="taken", file="net.tflite", recipe="copy")
+    ensure([taken], tmp_path, SETTINGS)
+    assert (tmp_path / "net.tflite").read_bytes() == tiny_tflite()
+    assert records.read(tmp_path, "net.tflite")["sha256"] == taken.sources[0].sha256
+
+
 def test_record_and_manifest_say_what_a_file_is(registry: Registry, tmp_path: Path) -> None:
     ensure(registry.models, tmp_path, SETTINGS)
     record = records.read(tmp_path, "net.onnx")

@@ -4,11 +4,14 @@ import shutil
 
 import numpy as np
 import pytest
+import torch
 
-from soar.errors import ModelFileError
+from soar.errors import ModelFileError, NumericalError
+from soar.networks.diffusion import levels
 from soar.networks.export import export
-from soar.networks.prior_inputs import CONDITIONED, VIEWS, signature
-from soar.priors.mini import MiniPrior
+from soar.networks.prior_inputs import CONDITIONED, VIEWS, assemble, signature
+from soar.priors.mini import MiniPrior, MiniProvider
+from soar.priors.protocol import Condition, Views
 from tests.networks.small_prior import SIZE, inputs, network
 
 
@@ -81,3 +84,67 @@ def test_altered_missing_and_other_files_are_refused(file, tmp_path):
         MiniPrior(tmp_path / "none.onnx", SIZE, 1)
     with pytest.raises(ModelFileError, match="other inputs"):
         MiniPrior(file, 64, 1)
+
+
+GUIDANCE, TIME = 1.3, 0.6
+
+
+def scene(domain):
+    """A condition and four views, in the protocol's terms, of the network's own small inputs."""
+    given = {name: value[0] for name, value in inputs(1, seed=3).items()}
+    alpha = given["alpha"]
+    pictures = (0.5 + 0.5 * torch.cat([given["noisy"], given["image"][None]]).clamp(-1, 1)) * alpha
+    condition = Condition(domain, pictures[VIEWS], alpha[VIEWS], given["geometry"][VIEWS], "says nothing to it")
+    azimuth = torch.arange(4) * 90.0
+    shown = pictures[:VIEWS].clone().requires_grad_()
+    return condition, Views(shown, alpha[:VIEWS], given["geometry"][:VIEWS], azimuth, torch.zeros(4))
+
+
+def seeded():
+    return torch.Generator().manual_seed(5)
+
+
+def by_hand(prior, condition, views):
+    """The estimate (4, 3, S, S) in [-1, 1], by the network's own call."""
+    pictures = 2 * views.pictures.detach() - views.alpha
+    given = assemble(
+        (2 * condition.picture - condition.alpha).numpy(),
+        torch.cat([views.geometry, condition.geometry[None]]).numpy(),
+        torch.cat([views.alpha, condition.alpha[None]]).numpy(),
+        condition.domain == "normal",
+        condition.domain == "colour",
+    )
+    level, noise = (value.item() for value in levels(torch.tensor([TIME])))
+    noisy = level * pictures + noise * torch.randn(pictures.shape, generator=seeded())
+    return torch.from_numpy(prior(noisy.numpy(), TIME, given, GUIDANCE)[0]).clamp(-1, 1)
+
+
+@pytest.mark.parametrize("domain", ["colour", "normal"])
+def test_provider_distils_before_grey_weighted_by_alpha(prior, domain):
+    provider, (condition, views) = MiniProvider(prior, GUIDANCE), scene(domain)
+    assert provider.size == SIZE
+    (prompt,) = provider.prepare([condition])
+    clean = by_hand(prior, condition, views)
+    estimate = provider.estimate(prompt, views, TIME, seeded())
+    torch.testing.assert_close(estimate, (clean + 1) / 2, atol=1e-5, rtol=0)
+    loss = provider.loss(prompt, views, TIME, seeded())
+    difference = 2 * views.pictures.detach() - views.alpha - clean
+    torch.testing.assert_close(loss, 0.5 * (views.alpha * difference.square()).sum() / VIEWS, atol=0, rtol=1e-4)
+    (gradient,) = torch.autograd.grad(loss, views.pictures)
+    torch.testing.assert_close(gradient, 2 * views.alpha * difference / VIEWS, atol=1e-5, rtol=1e-4)
+
+
+def test_provider_repeats_by_its_generator_and_sees_the_domain(prior):
+    provider, (condition, views) = MiniProvider(prior, GUIDANCE), scene("colour")
+    first, second = (provider.estimate(condition, views, TIME, seeded()) for _ in range(2))
+    assert torch.equal(first, second)
+    other, _ = scene("normal")
+    assert not torch.allclose(first, provider.estimate(other, views, TIME, seeded()), atol=1e-3)
+
+
+def test_provider_names_nan(prior, monkeypatch):
+    provider, (condition, views) = MiniProvider(prior, GUIDANCE), scene("colour")
+    broken = lambda *_: (np.full((VIEWS, 3, SIZE, SIZE), np.nan, np.float32), None)  # noqa: E731
+    monkeypatch.setattr(provider, "prior", broken)
+    with pytest.raises(NumericalError, match="NaN"):
+        provider.loss(condition, views, TIME, seeded())

@@ -90,6 +90,7 @@ def write_sequence(folder: Path, changed: Avatar | None = None) -> dict[str, Pat
     motion.write(folder / "body.npz")
     shown = truth if changed is None else changed
     shown.write(folder / "avatar.safetensors")
+    truth.write(folder / "unrefined.safetensors")
     truth.replace(colours=torch.full_like(truth.colours, 0.5)).write(folder / "paint.safetensors")
     lpips_file(folder / "models" / "lpips_alex.safetensors")
     return {
@@ -98,6 +99,7 @@ def write_sequence(folder: Path, changed: Avatar | None = None) -> dict[str, Pat
         "body": folder / "body.npz",
         "crops": folder / "crops",
         "avatar": folder / "avatar.safetensors",
+        "unrefined": folder / "unrefined.safetensors",
         "paint": folder / "paint.safetensors",
         "models": folder / "models",
     }

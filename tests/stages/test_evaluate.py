@@ -64,7 +64,7 @@ def test_every_figure_has_its_protocol(perfect: tuple[Path, dict]) -> None:
     assert metrics["bor"]["surfels"] == pytest.approx(float(tau.mean()), abs=1e-6)
     with (folder / "out" / "per_frame.csv").open() as stream:
         rows = list(csv.DictReader(stream))
-    assert len(rows) == 2 * 2 * 2
+    assert len(rows) == 2 * 2 * 3
     assert {row["frame"] for row in rows} == {"10", "12"}
     assert set(METRICS) < set(rows[0])
     mine = [float(r["psnr"]) for r in rows if r["camera"] == "back" and r["method"] == "ours"]

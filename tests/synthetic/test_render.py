@@ -13,10 +13,11 @@ from soar.body import lbs
 from soar.errors import InputError
 from soar.geometry.meshes import vertex_normals
 from soar.geometry.rotations import axis_angle_to_matrix
+from soar.networks.prior_inputs import CANONICAL_CENTRE
 from soar.raster.mesh import rasterise_mesh
 from soar.synthetic import background
 from soar.synthetic.records import LAYERS
-from soar.synthetic.render import CANONICAL_CENTRE, Maps, Posed, Renderer, visible_points
+from soar.synthetic.render import Maps, Posed, Renderer, visible_points
 from soar.synthetic.scene import People, Shot
 
 BODY = LAYERS.index("body")

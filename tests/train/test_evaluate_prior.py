@@ -17,7 +17,7 @@ from soar.train.evaluate_prior import (
     SIDES,
     Parts,
     PriorEvaluationSettings,
-    figures,
+    Truth,
     methods,
     part_means,
     plain,
@@ -107,17 +107,17 @@ def test_figures_of_known_errors():
     images = made.pictures("colour")[:VIEWS] / 2  # 1 becomes 0.75 and 0 becomes 0.25 of [0, 1]
     images[0] = 5.0  # the front is not judged
     images[..., SIZE // 2 :] = 7.0  # nor what is not the person's
-    got = figures(images, made, PARTS, Difference())
+    got = Truth(made, PARTS, Difference()).figures(images)
     for name in ("back", "side"):
         assert got[f"{name}_db"] == pytest.approx(-20 * math.log10(0.25), abs=1e-4)
         assert got[f"{name}_lpips"] == pytest.approx(0.25, abs=1e-6)
     assert got["head_db"] == pytest.approx(-20 * math.log10(0.25), abs=1e-4)
     worse = images.copy()
     worse[BACK, :, :2] = 0.0  # the head from behind
-    assert figures(worse, made, PARTS, Difference())["head_db"] == pytest.approx(-20 * math.log10(0.5), abs=1e-4)
+    assert Truth(made, PARTS, Difference()).figures(worse)["head_db"] == pytest.approx(-20 * math.log10(0.5), abs=1e-4)
     worse = images.copy()
     worse[SIDES[1]] = 0.0
-    other = figures(worse, made, PARTS, Difference())
+    other = Truth(made, PARTS, Difference()).figures(worse)
     assert other["back_db"] == pytest.approx(got["back_db"])
     assert other["side_db"] == pytest.approx(-10 * math.log10(0.25 * 0.5), abs=1e-4)  # the mean of both in dB
 
@@ -125,13 +125,13 @@ def test_figures_of_known_errors():
 def test_hair_and_hats_count_as_head_and_a_view_without_has_no_figure():
     made = turntable((RED, GREEN, BLUE), *[(None, GREEN, BLUE)] * 4)
     images = made.pictures("colour")[:VIEWS]
-    assert math.isnan(figures(images, made, PARTS, Difference())["head_db"])
+    assert math.isnan(Truth(made, PARTS, Difference()).figures(images)["head_db"])
     made.maps[BACK].layer[2, :2] = LAYERS.index("long_hair")
     made.maps[BACK].alpha[2, 1] = 0.5
     images = made.pictures("colour")[:VIEWS]
     images[BACK, :, 2, 0] = 0.0
     expected = -10 * math.log10(0.5**2 / 1.5)  # the other pixel is right and counts by its alpha
-    assert figures(images, made, PARTS, Difference())["head_db"] == pytest.approx(expected, abs=1e-4)
+    assert Truth(made, PARTS, Difference()).figures(images)["head_db"] == pytest.approx(expected, abs=1e-4)
 
 
 class Oracle:

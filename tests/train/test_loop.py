@@ -9,7 +9,7 @@ import torch
 from soar.artifacts import read_json
 from soar.config import settings
 from soar.errors import ConfigError, NumericalError
-from soar.train.loop import LoopSettings, resolve_device
+from soar.train.loop import LoopSettings
 from tests.train.tiny import LOOP, TinyTask, shipped_loop, training
 
 
@@ -134,10 +134,3 @@ def test_settings():
         settings(LoopSettings, LOOP | {"steps": None})
     assert set(shipped_loop()) == set(LOOP)
     settings(LoopSettings, shipped_loop())
-
-
-def test_devices():
-    assert resolve_device("cpu").type == "cpu"
-    assert resolve_device("auto").type in ("cpu", getattr(torch.accelerator.current_accelerator(), "type", "cpu"))
-    with pytest.raises(ConfigError, match="no device"):
-        resolve_device("abacus")

@@ -45,6 +45,8 @@ OPTIONS = [
     "avatar.subdivisions=0",
     "reconstruct.steps=10",
     "occlusion.steps=20",
+    "refine.shape.steps=1",
+    "refine.texture.steps=2",
     "render.turntable.frames=4",
     "evaluate.every=4",
 ]

@@ -115,7 +115,7 @@ def test_every_artifact_has_a_provenance_record(finished: Path) -> None:
 
 def test_a_reconstruct_value_reruns_reconstruct_and_below(finished: Path) -> None:
     rules = planned(snakemake(finished, "-n", config=("reconstruct={steps: 7}",)))
-    assert rules == {"reconstruct", "occlusion", "render", "views", "evaluate", "report"}
+    assert rules == {"reconstruct", "occlusion", "refine", "render", "views", "evaluate", "report"}
 
 
 def test_a_comment_reruns_nothing_and_code_reruns_its_stage(finished: Path) -> None:

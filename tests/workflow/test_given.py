@@ -35,6 +35,8 @@ SMALL = (
     "monocular.silhouette.rounds=1",
     "reconstruct.steps=3",
     "occlusion.steps=20",
+    "refine.shape.steps=1",
+    "refine.texture.steps=2",
     "render.turntable.frames=3",
 )
 

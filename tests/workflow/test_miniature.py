@@ -21,6 +21,8 @@ SMALL = (
     "dataset.frames.min_frames=4",
     "crops.long_side=320",
     "reconstruct.steps=4",
+    "refine.shape.steps=2",
+    "refine.texture.steps=2",
     "render.turntable.frames=4",
 )
 

@@ -21,6 +21,7 @@ from soar.body.motion import BodyMotion
 from soar.body.record import BodyModel
 from soar.config import settings
 from soar.optimise.reconstruct import ReconstructSettings
+from soar.optimise.refine import RefineSettings
 from soar.optimise.views import Views
 from soar.raster import RasterSettings
 from soar.stages import Job, body, calibrate, paint, reconstruct
@@ -36,6 +37,7 @@ PAPER = composed(("preset=paper",))
 SCHEMAS = {
     "avatar": AvatarSettings,
     "reconstruct": ReconstructSettings,
+    "refine": RefineSettings,
     "body": FitSettings,
     "raster": RasterSettings,
 }
@@ -58,6 +60,8 @@ def test_numbers_printed_in_the_paper() -> None:
     )
     weights = PAPER["reconstruct"]["weights"]
     assert [weights[name] for name in ("l1", "ssim", "lpips", "mask", "normal_cosine")] == [0.2, 0.8, 1.0, 1.0, 0.2]
+    phases = [PAPER["refine"][phase] for phase in ("shape", "texture")]
+    assert [(phase["steps"], phase["weights"]["sds"]) for phase in phases] == [(500, 1e-4), (1000, 1e-4)]
     assert [PAPER["body"]["weights"][name] for name in ("data", "smooth", "preserve")] == [100, 10_000, 60]
 
 
@@ -68,7 +72,7 @@ def test_it_can_be_combined_and_leaves_perception_alone() -> None:
     ours, papers = Workflow({}), Workflow({"preset": "paper"})
     same = {stage for stage in STAGES if ours.slice(stage, "full") == papers.slice(stage, "full")}
     assert {"ingest", "frames", "keypoints", "masks", "calibrate", "crops", "normals"} <= same
-    assert not {"body", "paint", "reconstruct"} & same
+    assert not {"body", "paint", "reconstruct", "refine"} & same
 
 
 def files(folder: Path, *more: str) -> dict[str, Path]:

@@ -61,3 +61,24 @@ rule occlusion:
         "Finding what was never seen of {wildcards.sequence} ({wildcards.variant})"
     shell:
         RUN
+
+
+rule refine:
+    input:
+        **reads("refine"),
+    output:
+        **writes("refine"),
+    log:
+        job_file("refine", ".log"),
+    benchmark:
+        job_file("refine", ".tsv")
+    threads: 2
+    resources:
+        mem_mb=6000,
+        runtime=240,
+    params:
+        **params("refine"),
+    message:
+        "Completing {wildcards.sequence} ({wildcards.variant})"
+    shell:
+        RUN

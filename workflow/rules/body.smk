@@ -1,4 +1,4 @@
-# Cameras, body, and what is cut out of the frames with them.
+# Cameras, body, and what is cut out of the frames and said of them.
 
 
 rule calibrate:
@@ -99,3 +99,23 @@ rule normals:
         "Making normal maps of {wildcards.sequence}, {wildcards.camera}"
     shell:
         RUN_CAMERA
+
+
+rule caption:
+    input:
+        **reads("caption"),
+    output:
+        **writes("caption"),
+    log:
+        job_file("caption", ".log"),
+    benchmark:
+        job_file("caption", ".tsv")
+    resources:
+        mem_mb=1500,
+        runtime=15,
+    params:
+        **params("caption"),
+    message:
+        "Describing the person in {wildcards.sequence}"
+    shell:
+        RUN
