@@ -64,11 +64,11 @@ ROWS = {
     "grey": Row("grey"),
     "grey, direct": Row("grey", STEPS, 1.0, 1.0),
     "grey, t .02-.98, g 1": Row("grey", STEPS, 0.02, 0.98),
+    "grey, t .02-.98, g 1.15": Row("grey", STEPS, 0.02, 0.98, 1.15),
     "grey, t .02-.98, g 1.3": Row("grey", STEPS, 0.02, 0.98, 1.3),
-    "grey, t .5-.98, g 1.3": Row("grey", STEPS, 0.5, 0.98, 1.3),
     "magenta": Row("magenta"),
     "magenta, t .02-.98, g 1": Row("magenta", STEPS, 0.02, 0.98),
-    "magenta, t .5-.98, g 1.3": Row("magenta", STEPS, 0.5, 0.98, 1.3),
+    "magenta, t .3-.98, g 1.15": Row("magenta", STEPS, 0.3, 0.98, 1.15),
 }
 
 

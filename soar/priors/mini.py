@@ -45,7 +45,8 @@ class MiniPrior:
 
         Args:
             noisy: (4, 3, S, S) float32, :func:`soar.networks.diffusion.noised` pictures in [-1, 1].
-            time: in (0, 1]; at 1 ``noisy`` is pure noise, and the answer is the network's direct guess.
+            time: in (0, 1]; at 1 ``noisy`` says nothing and is taken to be its mean, zero: the answer is the network's
+                direct guess, a tenth of a decibel nearer than from any one draw.
             given: the other inputs of :func:`soar.networks.prior_inputs.signature` without batch axis, conditioned.
             guidance: 0 ignores the picture, 1 follows it, more exaggerates what it says: classifier-free guidance (Ho
                 and Salimans, 2022). At 0 and 1 the network runs for one sample, else for two.
@@ -58,7 +59,7 @@ class MiniPrior:
         count = len(conditioned)
         feed = {name: np.stack([value] * count) for name, value in given.items()}
         feed["flags"][:, CONDITIONED] = conditioned
-        feed["noisy"] = np.stack([np.asarray(noisy, np.float32)] * count)
+        feed["noisy"] = np.stack([np.asarray(noisy, np.float32) * np.float32(time < 1)] * count)
         feed["time"] = np.full(count, time, np.float32)
         clean, coverage = self.session.run(["clean", "coverage"], feed)
         if count == 1:
