@@ -191,6 +191,8 @@ def _allot(threads: int) -> None:
     """
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ[name] = str(threads)
+    # Threads that wait sleep: spinning takes the cores from whatever else runs, and twice the processor time.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     try:
         libc = ctypes.CDLL("libc.so.6")
         mmap_threshold, trim_threshold = -3, -1
