@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
@@ -70,14 +71,14 @@ class Surround:
     ) -> None:
         self.body, self.motion, self.settings, self.size = body, motion, settings, size
         self.up = up / np.linalg.norm(up)
-        self.geometry = BodyGeometry(body)
+        self.geometry, self._rotations = BodyGeometry(body), motion.rotations
         self._posed: dict[int, tuple[Tensor, Tensor]] = {}
 
     def posed(self, frame: int) -> tuple[Tensor, Tensor]:
         """Vertices (V, 3), metres, and unit normals (V, 3) of the body in the world."""
         if frame not in self._posed:
             motion = self.motion
-            vertices = pose_vertices(self.body, motion.betas, motion.rotations[frame], motion.translation[frame])
+            vertices = pose_vertices(self.body, motion.betas, self._rotations[frame], motion.translation[frame])
             self._posed[frame] = vertices, self.geometry.normals(vertices)
         return self._posed[frame]
 
@@ -127,11 +128,25 @@ class Surround:
         """The view at the resolution that is rendered."""
         return enlarged(look.pinhole, self.settings.samples)
 
-    def condition(self, views: Views, index: int, domain: Domain, text: str) -> Condition:
-        """Crop ``index`` as the image prompt: a square about the mask; for normals the estimated front map."""
+    def conditions(self, views: Views, index: int, domains: Iterable[Domain], text: str) -> list[Condition]:
+        """Crop ``index`` as the image prompt of each domain: a square about the mask; the estimated front normals."""
         window = _square(views.alpha[index], self.settings.prompt_fill)
-        scale = self.size / window[2]
         alpha = _resized(views.alpha[index].astype(np.float32) / 255, window, self.size)
+        K = views.K[index].astype(float).copy()
+        K[:2, 2] -= window[:2]
+        K[:2] *= self.size / window[2]
+        pinhole = Pinhole.from_K(K, self.size, self.size)
+        geometry = self.planes(int(views.frames[index]), views.T_cam_from_world, pinhole)
+        pictures = {domain: self._picture(views, index, domain, window, alpha) for domain in domains}
+        return [
+            Condition(domain, torch.from_numpy(picture), torch.from_numpy(alpha[None]), geometry, text)
+            for domain, picture in pictures.items()
+        ]
+
+    def _picture(
+        self, views: Views, index: int, domain: Domain, window: tuple[int, int, int], alpha: np.ndarray
+    ) -> np.ndarray:
+        """(3, S, S) float32 in [0, 1], times the ``alpha`` (S, S) of the window."""
         if domain == "normal":
             assert views.normals is not None
             normal = _resized(views.normals[index, 0].astype(np.float32) / 127, window, self.size)
@@ -140,17 +155,7 @@ class Surround:
         else:
             masked = views.rgb[index].astype(np.float32) * (views.alpha[index].astype(np.float32) / 255**2)[..., None]
             picture = _resized(masked, window, self.size)
-        K = views.K[index].astype(float).copy()
-        K[:2, 2] -= window[:2]
-        K[:2] *= scale
-        pinhole = Pinhole.from_K(K, self.size, self.size)
-        return Condition(
-            domain,
-            torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1), np.float32)),
-            torch.from_numpy(alpha[None]),
-            self.planes(int(views.frames[index]), views.T_cam_from_world, pinhole),
-            text,
-        )
+        return np.ascontiguousarray(picture.transpose(2, 0, 1), np.float32)
 
 
 def _square(alpha: np.ndarray, fill: float) -> tuple[int, int, int]:

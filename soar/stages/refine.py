@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -84,8 +85,9 @@ def _guides(
     up = Sequence.read(inputs["sequence"]).up
     surround = Surround(observed.body, observed.motion, up, options.views, model.size)
     crops = [(v, i) for v, view in enumerate(observed.views) for i in range(len(view))]
-    asked = [(name, crop) for name in guided for crop in crops]
-    conditions = [surround.condition(observed.views[v], i, guided[name], text) for name, (v, i) in asked]
+    asked = [(name, crop) for crop in crops for name in guided]
+    made = (surround.conditions(observed.views[v], i, guided.values(), text) for v, i in crops)
+    conditions = list(itertools.chain.from_iterable(made))
     prompts = dict(zip(asked, model.prepare(conditions), strict=True))
     for name, domain in guided.items():
         guides[name] = Guide(model, {crop: prompts[name, crop] for crop in crops}, surround, domain)

@@ -5,18 +5,16 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from soar.networks.prior_inputs import CONDITIONED, DOMAIN, RULES, VIEWS, assemble
+from soar.priors.protocol import Domain
 from soar.synthetic.render import Maps, Posed
 from soar.synthetic.scene import Shot
 from soar.synthetic.settings import SyntheticSettings
 from soar.train.source import PeopleSource
 from soar.train.task import Split
-
-Domain = Literal["colour", "normal"]
 
 _QUIETEST = 0.02  # least time; with less noise there is nothing to learn
 

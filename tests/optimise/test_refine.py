@@ -113,7 +113,7 @@ class Toy:
 
     def guide(self, prior: Wish, domain: str) -> Guide[Condition]:
         view = scene.film(grey(), FRAMES)
-        conditions = [self.surround.condition(view, i, domain, "") for i in range(FRAMES)]
+        conditions = [self.surround.conditions(view, i, [domain], "")[0] for i in range(FRAMES)]
         prompts = dict(zip(((0, i) for i in range(FRAMES)), prior.prepare(conditions), strict=True))
         return Guide(prior, prompts, self.surround, domain)
 

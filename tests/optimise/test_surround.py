@@ -166,7 +166,7 @@ def box(alpha: np.ndarray) -> np.ndarray:
 
 def test_the_prompt_is_a_square_about_the_mask(surround: Surround, views: Views) -> None:
     for index in range(len(views)):
-        condition = surround.condition(views, index, "colour", "words")
+        condition = surround.conditions(views, index, ["colour"], "words")[0]
         assert (condition.domain, condition.text) == ("colour", "words")
         assert condition.picture.shape == (3, SIZE, SIZE)
         alpha = condition.alpha[0].numpy()
@@ -183,7 +183,7 @@ def test_the_prompt_is_a_square_about_the_mask(surround: Surround, views: Views)
 
 
 def test_the_prompt_shows_the_photograph_multiplied_by_alpha(surround: Surround, views: Views) -> None:
-    condition = surround.condition(views, 0, "colour", "")
+    condition = surround.conditions(views, 0, ["colour"], "")[0]
     picture, alpha = condition.picture.numpy(), condition.alpha.numpy()
     assert (picture[:, alpha[0] == 0] == 0).all()
     assert (picture <= alpha + 1e-6).all()
@@ -200,7 +200,7 @@ def test_the_prompt_shows_the_photograph_multiplied_by_alpha(surround: Surround,
 def test_body_points_are_where_the_prompt_s_geometry_has_them(surround: Surround, views: Views) -> None:
     T = views.T_cam_from_world
     for index in (1, 3):
-        condition = surround.condition(views, index, "colour", "")
+        condition = surround.conditions(views, index, ["colour"], "")[0]
         vertices, normals = surround.posed(index)
         at = projected(vertices, T, Pinhole.from_K(views.K[index], *views.size[::-1]))
         x0, y0, x1, y1 = box(views.alpha[index] / 255)
@@ -219,7 +219,7 @@ def test_body_points_are_where_the_prompt_s_geometry_has_them(surround: Surround
 
 
 def test_normal_prompts_are_the_estimated_front_map(surround: Surround, views: Views) -> None:
-    condition = surround.condition(views, 2, "normal", "")
+    condition = surround.conditions(views, 2, ["normal"], "")[0]
     alpha = condition.alpha
     assert condition.domain == "normal"
     assert (condition.picture >= 0).all()
@@ -238,7 +238,7 @@ def test_normal_prompts_are_the_estimated_front_map(surround: Surround, views: V
     both = opaque & (body[BODY][0] == 1)
     cosine = ((2 * condition.picture - alpha) * body[NORMAL]).sum(0)[both]
     assert cosine.median() > 0.95
-    assert torch.equal(condition.alpha, surround.condition(views, 2, "colour", "").alpha)
+    assert torch.equal(condition.alpha, surround.conditions(views, 2, ["colour"], "")[0].alpha)
 
 
 def shifted(views: Views, columns: int, rows: int) -> Views:
@@ -260,13 +260,13 @@ def shifted(views: Views, columns: int, rows: int) -> Views:
 def test_a_square_that_leaves_the_crop_is_padded_with_nothing(surround: Surround, views: Views) -> None:
     x0, y0, *_ = box(views.alpha[0] / 255)
     corner = shifted(views, -int(x0), -int(y0))  # the person touches two sides of the crop, nothing is lost
-    whole, cut = (surround.condition(v, 0, "colour", "") for v in (views, corner))
+    whole, cut = (surround.conditions(v, 0, ["colour"], "")[0] for v in (views, corner))
     torch.testing.assert_close(cut.picture, whole.picture, atol=1e-5, rtol=0)
     torch.testing.assert_close(cut.alpha, whole.alpha, atol=1e-5, rtol=0)
     torch.testing.assert_close(cut.geometry, whole.geometry, atol=1e-3, rtol=0)
 
     half = shifted(views, -int(x0) - 15, 0)  # a part of the person is lost
-    condition = surround.condition(half, 0, "colour", "")
+    condition = surround.conditions(half, 0, ["colour"], "")[0]
     left, top, right, bottom = box(condition.alpha[0].numpy())
     assert max(right - left, bottom - top) / SIZE == pytest.approx(SETTINGS.prompt_fill, abs=1.5 / SIZE)
     beyond = condition.alpha[0, :, : left - 2]
@@ -280,7 +280,7 @@ def test_a_square_that_leaves_the_crop_is_padded_with_nothing(surround: Surround
 def test_a_prompt_without_a_person_is_empty(surround: Surround, views: Views) -> None:
     nobody = dataclasses.replace(views, alpha=np.zeros_like(views.alpha))
     for domain in ("colour", "normal"):
-        condition = surround.condition(nobody, 0, domain, "")
+        condition = surround.conditions(nobody, 0, [domain], "")[0]
         assert (condition.alpha == 0).all()
         assert (condition.picture == 0).all()
         assert (condition.geometry[BODY] > 0).any()

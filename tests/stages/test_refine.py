@@ -160,7 +160,7 @@ def test_what_is_distilled_decides_what_a_prompt_shows(
     monkeypatch.setattr(MiniProvider, "prepare", prepare)
     with pytest.raises(KeyboardInterrupt):
         run(inputs, tmp_path, *MINI)
-    assert [condition.domain for condition in seen] == ["normal"] * toy.FRAMES + ["colour"] * toy.FRAMES
+    assert [condition.domain for condition in seen] == ["normal", "colour"] * toy.FRAMES
     assert {condition.text for condition in seen} == {"A capsule."}
     assert all(condition.picture.shape == (3, 64, 64) for condition in seen)
     seen.clear()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import torch
 from torch import Tensor
 
@@ -9,6 +11,7 @@ STEPS = 1000
 _FIRST, _LAST = 0.00085, 0.0120  # variances that the first and last step add
 
 
+@functools.cache
 def alphas_cumprod() -> Tensor:
     """(1000,) float64: the square of ``alpha`` at every step."""
     betas = torch.linspace(_FIRST**0.5, _LAST**0.5, STEPS, dtype=torch.float64) ** 2
