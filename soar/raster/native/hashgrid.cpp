@@ -119,9 +119,13 @@ void scatter_level(const Grid& grid, int level, const float* upstream, float* g_
       store(add, twice_low(w) * low);
       store(add + 8, twice_high(w) * high);
       for (int i = 0; i < kLanes; ++i) {
+        typedef float f2 __attribute__((vector_size(8)));
+        f2 sum, more;
         float* to = out + 2 * (int64_t)e.lane[i];
-        to[0] += add[2 * i];
-        to[1] += add[2 * i + 1];
+        std::memcpy(&sum, to, sizeof sum);
+        std::memcpy(&more, add + 2 * i, sizeof more);
+        sum += more;
+        std::memcpy(to, &sum, sizeof sum);
       }
     }
   }
@@ -129,12 +133,12 @@ void scatter_level(const Grid& grid, int level, const float* upstream, float* g_
 
 void differentiate_block(const Grid& grid, int64_t block, const float* upstream, float* g_points) {
   const int64_t begin = block * kBlock, end = begin + kBlock < grid.count ? begin + kBlock : grid.count;
-  for (int64_t first = begin; first < end; first += kLanes) {
-    const Points points = load_points(grid, first);
-    f8 total[3] = {};
-    for (int level = 0; level < grid.levels; ++level) {
-      const float* table = grid.level_table(level);
-      const Cells c = locate(grid, points, level);
+  f8 total[kBlock / kLanes][3] = {};
+  for (int level = 0; level < grid.levels; ++level) {
+    const float* table = grid.level_table(level);
+    const f8 n = splat((float)grid.resolutions[level]);
+    for (int64_t first = begin; first < end; first += kLanes) {
+      const Cells c = locate(grid, load_points(grid, first), level);
       f8 low, high;
       load_upstream(grid, upstream, level, first, end, low, high);
       f8 v[8];  // what the loss would change by, were all weight on this corner
@@ -144,17 +148,21 @@ void differentiate_block(const Grid& grid, int64_t block, const float* upstream,
         v[corner] = SOAR_SHUFFLE2(a, b, 0, 2, 4, 6, 8, 10, 12, 14) + SOAR_SHUFFLE2(a, b, 1, 3, 5, 7, 9, 11, 13, 15);
       }
       // Trilinear interpolation, one axis after the other; the differences met on the way are the derivatives.
-      const f8 n = splat((float)grid.resolutions[level]);
       f8 dx[4], x[4], dy[2], y[2];
       for (int i = 0; i < 4; ++i) dx[i] = v[2 * i + 1] - v[2 * i], x[i] = v[2 * i] + c.place[0] * dx[i];
       for (int i = 0; i < 2; ++i) dy[i] = x[2 * i + 1] - x[2 * i], y[i] = x[2 * i] + c.place[1] * dy[i];
       for (int i = 0; i < 2; ++i) dx[i] = dx[2 * i] + c.place[1] * (dx[2 * i + 1] - dx[2 * i]);
-      total[0] += n * (dx[0] + c.place[2] * (dx[1] - dx[0]));
-      total[1] += n * (dy[0] + c.place[2] * (dy[1] - dy[0]));
-      total[2] += n * (y[1] - y[0]);
+      f8* sum = total[(first - begin) / kLanes];
+      sum[0] += n * (dx[0] + c.place[2] * (dx[1] - dx[0]));
+      sum[1] += n * (dy[0] + c.place[2] * (dy[1] - dy[0]));
+      sum[2] += n * (y[1] - y[0]);
     }
+  }
+  for (int64_t first = begin; first < end; first += kLanes) {
+    const Points points = load_points(grid, first);
     for (int k = 0; k < 3; ++k) {
-      const f8 g = keep((points.v[k] >= splat(0.0f)) & (points.v[k] <= splat(1.0f)), total[k]);  // flat outside the cube
+      const auto inside = (points.v[k] >= splat(0.0f)) & (points.v[k] <= splat(1.0f));  // flat outside the cube
+      const f8 g = keep(inside, total[(first - begin) / kLanes][k]);
       for (int i = 0; i < kLanes && first + i < end; ++i) g_points[3 * (first + i) + k] = g[i];
     }
   }
