@@ -21,6 +21,7 @@ class OcclusionSettings:
     """The tau loop (``conf/occlusion``)."""
 
     steps: int
+    visits: int
     rate: float
     start: float
     min_coverage: float
@@ -55,7 +56,8 @@ def occlusion(
     """Minimise the rendered occlusion over the training crops; everything but tau is detached.
 
     tau starts near 1 and only falls where a pixel shows the surfel, so what stays was never seen. Every crop is drawn
-    at least once, and surfels that face away are culled: without that the far side shines through between disks.
+    ``visits`` times or more, since Adam's step after a single gradient does not carry a logit all the way. Surfels that
+    face away are culled: without that the far side shines through between disks.
 
     Args:
         avatar: any avatar; its tau is ignored.
@@ -69,7 +71,7 @@ def occlusion(
     puppet = Puppet(avatar, articulation, raster)
     logits = torch.full_like(avatar.scales, math.log(settings.start / (1 - settings.start))).requires_grad_()
     optimiser = torch.optim.Adam([logits], lr=settings.rate, eps=1e-15)
-    steps = max(settings.steps, sum(map(len, views)))
+    steps = max(settings.steps, settings.visits * sum(map(len, views)))
     for v, index in track(epochs(views, steps, torch.Generator().manual_seed(seed)), "occlusion"):
         view = views[v]
         pinhole = view.pinhole(index)

@@ -59,7 +59,17 @@ def test_more_views_and_a_stricter_threshold() -> None:
 
 def test_every_frame_is_drawn_even_with_fewer_steps() -> None:
     truth = scene.truth()
-    few = dataclasses.replace(SETTINGS, steps=1, rate=20.0)
+    few = dataclasses.replace(SETTINGS, steps=1, visits=1, rate=20.0)
     result = occlusion(truth, scene.articulation(6), [scene.film(truth, 6)], few, toy.RASTER, 0)
     tau, y = result.avatar.occlusion, truth.rest_positions[:, 1]
     assert (tau[y < -0.08] < 0.1).float().mean() > 0.97
+
+
+def test_what_few_frames_show_is_decided_by_visiting_them_again() -> None:
+    truth = scene.truth()
+    shown_once = [scene.film(truth, 12, azimuth=np.pi), scene.film(truth, 1)]
+    undecided = [
+        occlusion(truth, scene.articulation(12), shown_once, settings, toy.RASTER, 0).undecided
+        for settings in (dataclasses.replace(SETTINGS, steps=1, visits=visits) for visits in (1, 12))
+    ]
+    assert undecided[0] > 0.2 > 0.02 > undecided[1]
