@@ -37,7 +37,8 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
         health.add(name, value)
     if result.undecided > 0.01:
         health.remark(
-            f"{100 * result.undecided:.1f} % of the surfels are neither seen nor unseen: raise occlusion.steps or occlusion.visits."
+            f"{100 * result.undecided:.1f} % of the surfels are neither seen nor unseen: "
+            "raise occlusion.steps or occlusion.visits."
         )
     health.write(outputs["health"])
 
