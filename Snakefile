@@ -5,7 +5,7 @@
 #   snakemake --config 'reconstruct={steps: 100}' 'variants=[full,no_implicit]'
 #   snakemake results/demo/balance/full/body/body.npz
 #
-# Rules wire files; what a stage reads, writes and is configured by stands in soar/workflow.py.
+# Rules wire files; what a stage reads, writes and is configured by stands in soar/workflow/table.py.
 
 import sys
 from pathlib import Path

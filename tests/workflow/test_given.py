@@ -93,14 +93,6 @@ def test_a_given_body_keeps_the_settings_of_the_one_camera_check() -> None:
     assert given == fitted | {"provider": "dataset"}
 
 
-def test_the_adapter_in_use_is_code_of_the_stages_that_read_footage(monkeypatch: pytest.MonkeyPatch) -> None:
-    from soar.workflow import fingerprint
-
-    made, demo = (Workflow({"dataset": name}) for name in ("synthetic", "demo"))
-    assert fingerprint("frames", made.slice("frames", "full")) != fingerprint("frames", demo.slice("frames", "full"))
-    assert fingerprint("crops", made.slice("crops", "full")) == fingerprint("crops", demo.slice("crops", "full"))
-
-
 # --- a miniature of all stages ---------------------------------------------------------------------------------------
 
 

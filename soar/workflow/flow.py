@@ -1,0 +1,195 @@
+"""Variants of one configuration: which stages they share, where their files lie, which jobs there are."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+from soar.errors import ConfigError
+from soar.workflow.configuration import canonical, composed, overrides_from, variant_names
+from soar.workflow.paths import benchmark_path, output_paths
+from soar.workflow.table import CONF, REPORT, STAGES
+
+
+class Workflow:
+    """Paths, parameters and sharing for one set of overrides.
+
+    Args:
+        config: what Snakemake's ``--config`` gave, see :func:`overrides_from`.
+
+    Raises:
+        ConfigError: for anything unknown or malformed in it.
+    """
+
+    def __init__(self, config: Mapping[str, Any] | None = None) -> None:
+        from soar.datasets import adapter
+
+        self.overrides = overrides_from(config or {})
+        base = self.config("full")
+        self.dataset: str = base["dataset"]["name"]
+        self.variants: list[str] = list(base["variants"])
+        unknown = sorted(set(self.variants) - set(variant_names()))
+        if unknown:
+            raise ConfigError("unknown variant", expected=", ".join(variant_names()), got=", ".join(unknown))
+        self._adapter = adapter(base["dataset"])
+        self._check_providers()
+        known = self._adapter.sequences()
+        self.sequences: list[str] = list(base["sequences"] or known)
+        if set(self.sequences) - set(known):
+            raise ConfigError("unknown sequence", expected=", ".join(known), got=", ".join(self.sequences))
+
+    def _check_providers(self) -> None:
+        for variant in self.variants:
+            for stage in STAGES:
+                if self._is_given(stage, variant) and stage not in self._adapter.provides:
+                    options = sorted(path.stem for path in (CONF / stage).glob("*.yaml"))
+                    others = [option for option in options if option != "dataset"]
+                    raise ConfigError(
+                        f"{stage}=dataset: the dataset {self.dataset} gives no {stage}",
+                        expected=f"one of {', '.join(others)}",
+                        got=f"a dataset that gives {', '.join(sorted(self._adapter.provides)) or 'its footage only'}",
+                        cure=f"choose {stage}={others[0]}, or a dataset that knows them, such as dataset=synthetic",
+                    )
+
+    # configuration of a stage
+
+    def config(self, variant: str) -> dict[str, Any]:
+        """The whole configuration of a variant."""
+        return composed((*self.overrides, f"variant={variant}"))
+
+    def slice(self, stage: str, variant: str) -> dict[str, Any]:
+        """The nodes a stage declares, and the seed."""
+        config = self.config(variant)
+        return {"seed": config["seed"]} | {node: config[node] for node in STAGES[stage].config}
+
+    @functools.cache  # noqa: B019  (a Workflow lives as long as the process)
+    def _lineage(self, stage: str, variant: str) -> str:
+        reads = self._reads(stage, variant).values()
+        above = sorted({path.split("/")[0] for path in reads if not path.startswith("=")})
+        return canonical([self.slice(stage, variant), {name: self._lineage(name, variant) for name in above}])
+
+    @functools.cache  # noqa: B019
+    def owner(self, stage: str, variant: str) -> str:
+        """The variant in whose folder ``stage`` of ``variant`` lives: the first whose whole lineage is the same."""
+        lineage = self._lineage(stage, variant)
+        return next(name for name in variant_names() if self._lineage(stage, name) == lineage)
+
+    def _is_given(self, stage: str, variant: str) -> bool:
+        """Whether the dataset gives what the stage would estimate."""
+        return bool(STAGES[stage].given) and self.config(variant)[stage]["provider"] == "dataset"
+
+    def _reads(self, stage: str, variant: str) -> dict[str, str]:
+        """Input name -> place, as in :class:`Stage`, of a stage in this configuration."""
+        entry = STAGES[stage]
+        return {**entry.reads, **(entry.given if self._is_given(stage, variant) else {})}
+
+    # paths
+
+    def cameras(self, sequence: str, which: str = "all") -> list[str]:
+        """Names of the cameras of a sequence: ``all`` or ``train``."""
+        return self._adapter.cameras(sequence, which)
+
+    def sources(self, sequence: str) -> list[str]:
+        """The user's files a sequence is made of."""
+        return [str(path) for path in self._adapter.sources(sequence)]
+
+    def downloads(self) -> list[str]:
+        """Files the ``fetch`` stage brings for this dataset; empty for a user's own."""
+        return [str(path) for path in self._adapter.downloads()]
+
+    def folder(self, stage: str, sequence: str, variant: str) -> str:
+        """Folder of a stage's artifacts."""
+        return f"results/{self.dataset}/{sequence}/{self.owner(stage, variant)}/{stage}"
+
+    def inputs(self, stage: str, sequence: str, variant: str, camera: str | None = None) -> dict[str, str | list[str]]:
+        """Input files by name; a per-camera family of a sequence-level stage is a list."""
+        result: dict[str, str | list[str]] = {}
+        for name, entry in self._reads(stage, variant).items():
+            if entry.startswith("="):
+                result[name] = entry[1:]
+                continue
+            above, _, file = entry.partition("/")
+            folder = self.folder(above, sequence, variant)
+            if "{camera}" not in file:
+                result[name] = f"{folder}/{file}"
+            elif camera is not None:
+                result[name] = f"{folder}/{file.format(camera=camera)}"
+            else:
+                names = self.cameras(sequence, STAGES[above].cameras)
+                result[name] = [f"{folder}/{file.format(camera=c)}" for c in names]
+        return result
+
+    def outputs(self, stage: str, sequence: str, variant: str) -> list[str]:
+        """Every file a stage leaves for a sequence."""
+        entry = STAGES[stage]
+        cameras = self.cameras(sequence, entry.cameras) if entry.per_camera else [None]
+        folder = self.folder(stage, sequence, variant)
+        return [path for camera in cameras for path in output_paths(entry, folder, camera).values()]
+
+    def everything(self) -> list[str]:
+        """Every artifact of every stage, sequence and variant, so that a deleted one is made again."""
+        return sorted(
+            {
+                path
+                for sequence in self.sequences
+                for variant in self.variants
+                for stage in self.stages(sequence)
+                for path in self.outputs(stage, sequence, variant)
+            }
+        )
+
+    def stages(self, sequence: str) -> list[str]:
+        """The stages a sequence runs through.
+
+        The monocular check needs cameras to be checked against; truth and maps a dataset that knows something.
+        """
+        several, knowing = len(self.cameras(sequence)) > 1, bool(self._adapter.provides)
+        made = {"monocular": several, "truth": knowing, "maps": knowing}
+        return [name for name in STAGES if made.get(name, True)]
+
+    # jobs that know no sequence
+
+    def dataset_job(self, stage: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Configuration and files of a job for the whole dataset: ``fetch`` or ``report``."""
+        config = self.config("full")
+        if stage == "fetch":
+            folder = f"data/datasets/{self.dataset}"
+            return {"seed": config["seed"], "dataset": config["dataset"]}, {
+                "inputs": {},
+                "outputs": {"data": folder, "provenance": f"{folder}/provenance.json"},
+            }
+        folder = f"results/{self.dataset}/report"
+        outputs = {name: f"{folder}/{file}" for name, file in REPORT.items()}
+        return {"seed": config["seed"], "report": config["report"], "jobs": self.jobs()}, {
+            "inputs": {},
+            "outputs": outputs,
+        }
+
+    def jobs(self) -> list[dict[str, Any]]:
+        """One entry per job whose evidence the report shows, in DAG order, sharing resolved.
+
+        Each has ``sequence``, ``variant``, ``stage``, ``camera`` (or null), ``files`` (name -> path) and ``benchmark``.
+        """
+        entries: dict[str, dict[str, Any]] = {}
+        for sequence in self.sequences:
+            for variant in self.variants:
+                for name in self.stages(sequence):
+                    stage = STAGES[name]
+                    for camera in self.cameras(sequence, stage.cameras) if stage.per_camera else [None]:
+                        folder = self.folder(name, sequence, variant)
+                        owner = self.owner(name, variant)
+                        files = output_paths(stage, folder, camera)
+                        key = files["provenance"]
+                        entries.setdefault(
+                            key,
+                            {
+                                "sequence": sequence,
+                                "variant": owner,
+                                "stage": name,
+                                "camera": camera,
+                                "files": files,
+                                "benchmark": benchmark_path(self.dataset, sequence, owner, name, camera),
+                            },
+                        )
+        return list(entries.values())
