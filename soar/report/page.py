@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import jinja2
 
+from soar.report.ablation import Ablation, AblationSettings
 from soar.report.judge import Limit, Number
 from soar.report.tables import MISSING, Table
 
@@ -37,6 +38,7 @@ class ReportSettings:
     embed_mb: float
     decimals: int
     limits: dict[str, Limit]
+    ablation: AblationSettings
     published: Published
 
 
@@ -72,7 +74,7 @@ class Section:
 
 @dataclasses.dataclass(frozen=True)
 class Page:
-    """Everything the report says. Each table is None where there is nothing to put into it."""
+    """Everything the report says. A table or the ablation is None where there is nothing to put into it."""
 
     dataset: str
     finished: str
@@ -82,6 +84,7 @@ class Page:
     published: Table
     published_caption: str
     bor: Table
+    ablation: Ablation | None
     videos: tuple[Media, ...]
     sheets: tuple[Media, ...]
     judged: tuple[Number, ...]
@@ -155,12 +158,18 @@ def markdown(page: Page) -> str:
     parts += _part("How it was measured", "\n".join(f"- {name}: {text}" for name, text in page.protocol))
     parts += _part("Published, other data", f"{page.published_caption}\n\n{page.published.markdown()}")
     parts += _part("Body occlusion ratio", page.bor.markdown())
+    parts += _part("Ablation", _ablation(page.ablation) if page.ablation else "")
     parts += _part("Health, worst first", judged.markdown() if judged.rows else "No number is judged.")
     parts += _part("Remarks", "\n".join(f"- {place}: {text}" for place, text, _ in page.remarks))
     parts += _part("Run cost", page.costs.markdown())
     parts += _part("Models", page.models.markdown())
     parts += _part("Make it again", "\n".join(["```", *page.commands, "```"]))
     return "\n\n".join(parts) + "\n"
+
+
+def _ablation(section: Ablation) -> str:
+    verdicts = "\n".join(f"- {verdict.words}: {verdict.text}" for verdict in section.verdicts)
+    return "\n\n".join((section.note, section.table.markdown(), verdicts))
 
 
 def _part(heading: str, text: str) -> Sequence[str]:

@@ -8,9 +8,12 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from soar.report.evaluation import METRICS
+from soar.report.evaluation import METRICS, Metric
 
 MISSING = "–"
+
+MEASURES: dict[str, Metric] = METRICS | {"saturation_gap": Metric("saturation gap", "", False, 3)}
+"""Everything that a table of figures may show: what is measured in a camera, and what of the surface itself."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,12 +40,12 @@ class Table:
 
 def figure(value: float | None, metric: str) -> str:
     """A metric's value as text."""
-    return MISSING if value is None else f"{value:.{METRICS[metric].digits}f}"
+    return MISSING if value is None else f"{value:.{MEASURES[metric].digits}f}"
 
 
 def title(metric: str) -> str:
     """A metric's column head: name, unit, direction."""
-    m = METRICS[metric]
+    m = MEASURES[metric]
     return f"{m.title}{f' [{m.unit}]' if m.unit else ''} {'↑' if m.higher_is_better else '↓'}"
 
 

@@ -18,10 +18,11 @@ from typing import Any
 from soar.artifacts import read_json, write_text
 from soar.config import settings
 from soar.health import Health
+from soar.report.ablation import REFINED, SURFACE, ablation
 from soar.report.evaluation import METRICS
 from soar.report.judge import Number, limit_of, worst_first
 from soar.report.page import Carrier, Media, Page, Published, ReportSettings, Section, html, markdown
-from soar.report.tables import MISSING, Table, mean_table, score_csv, score_table, scores_of, title
+from soar.report.tables import MISSING, Scores, Table, mean_table, score_csv, score_table, scores_of, title
 from soar.report.video import MIME
 from soar.stages import Job as StageJob
 
@@ -53,6 +54,7 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
         published=_published(options.published),
         published_caption=options.published.caption,
         bor=_bor(metrics, options.published),
+        ablation=ablation([*scores, *_gaps(jobs)], options.ablation),
         videos=tuple(videos),
         sheets=tuple(sheets),
         judged=tuple(worst_first(numbers)),
@@ -154,6 +156,14 @@ def _bor(metrics: Sequence[tuple[_Job, Mapping[str, Any]]], published: Published
     ours = [(j.place, f"{m['bor']['surfels']:.3f}", f"{m['bor']['area']:.3f}") for j, m in metrics]
     others = [(f"published: {name}", f"{value:.3f}", MISSING) for name, value in published.bor.items()]
     return Table(("sequence", "per surfel", "area-weighted"), (*ours, *others), 1)
+
+
+def _gaps(jobs: Iterable[_Job]) -> Iterator[Scores]:
+    """The saturation gap of every refined avatar, which the stage that makes it keeps among its health numbers."""
+    for job in jobs:
+        if job.stage == "refine" and "health" in job.present:
+            number = Health.read(job.files["health"]).numbers.get("saturation_gap", {"value": None})
+            yield Scores(job.sequence, job.variant, "", SURFACE, REFINED, {"saturation_gap": number["value"]})
 
 
 def _costs(jobs: Sequence[_Job]) -> Table:

@@ -41,7 +41,8 @@ class PriorLossSettings:
         absolute: of the mean absolute error, beside the mean square.
         loudest: greatest weight of a sample; it is 1 / sigma^2 below.
         coverage: of the square error of the alpha.
-        perceptual: of LPIPS with the VGG trunk, of one view of some samples; judged is with another, AlexNet.
+        perceptual: of LPIPS with the VGG trunk, of one view of some samples that are not pure noise; judged is with
+            another, AlexNet.
         looked_at: share of samples that it looks at.
     """
 
@@ -115,7 +116,8 @@ class PriorTask:
         where = options.background + (options.person - options.background) * covered
         pixels = (error + options.absolute * (clean - target).abs()) * where
         loss = (weight * pixels).mean() + options.coverage * (coverage - covered).square().mean()
-        looked = torch.nonzero(batch["look"] >= 0)[:, 0]
+        # Pure noise leaves the details open: the best guess is a mean, and asking it for sharpness costs error.
+        looked = torch.nonzero((batch["look"] >= 0) & (batch["time"] < 1))[:, 0]
         distance = loss.new_zeros(())
         if len(looked):
             views = batch["look"][looked]
