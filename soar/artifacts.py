@@ -83,6 +83,17 @@ def sha256_file(path: str | os.PathLike[str]) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+_NOTES = ("evidence.jpg", "health.json", "provenance.json")  # what stages leave about themselves
+
+
+def members(path: Path) -> list[Path]:
+    """The files an input is made of: itself, or what lies in a folder and below, less notes and hidden files."""
+    if not path.is_dir():
+        return [path]
+    files = (file for file in path.rglob("*") if file.is_file() and not file.name.endswith(_NOTES))
+    return sorted(file for file in files if not any(part.startswith(".") for part in file.relative_to(path).parts))
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write UTF-8 text atomically."""
     with atomic_path(path) as temporary:

@@ -174,7 +174,7 @@ def execute(
     provenance = outputs["provenance"]
     scratch = provenance.with_name(f".{provenance.stem}.scratch")
     cfg = dict(cfg)
-    job = Job(sequence, camera, cfg.pop("seed"), threads, scratch)
+    job = Job(sequence, camera, cfg.pop("seed"), threads, scratch, workflow.fingerprint(stage, cfg))
     for path in outputs.values():
         remove_leftovers(path)
     work = {name: path for name, path in outputs.items() if name != "provenance"}

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from soar import __version__
-from soar.artifacts import read_json, sha256_file, write_json
+from soar.artifacts import members, read_json, sha256_file, write_json
 from soar.stages import Job
-from soar.workflow import fingerprint
 
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "onnxruntime")
 
@@ -43,7 +42,7 @@ def record(
         "camera": job.camera,
         "config": cfg,
         "seed": job.seed,
-        "code": {"soar": __version__, "fingerprint": fingerprint(stage, cfg)},
+        "code": {"soar": __version__, "fingerprint": job.code},
         "inputs": dict(_digests(inputs)),
         "outputs": dict(_digests(outputs)),
         "models": _models(inputs.get("models")),
@@ -60,13 +59,8 @@ def _digests(files: Mapping[str, Path]) -> Iterator[tuple[str, str]]:
     for name, path in sorted(files.items()):
         if name == "models":
             continue
-        members = (
-            sorted(p for p in path.iterdir() if p.is_file() and p.suffix in (".npz", ".zip"))
-            if path.is_dir()
-            else [path]
-        )
-        for member in members:
-            yield (name if member == path else f"{name}/{member.name}"), sha256_file(member)
+        for member in members(path):
+            yield (name if member == path else f"{name}/{member.relative_to(path)}"), sha256_file(member)
 
 
 def _models(manifest: Path | None) -> Any:

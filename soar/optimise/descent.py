@@ -71,16 +71,17 @@ def descend(
     _, ring = nearest(start.rest_positions, start.rest_positions, settings.laplacian_neighbours + 1)
     spread = Sobolev.of(start.rest_positions, ring, settings.smoothing, left.to(start.positions), settings.symmetry)
     curves: dict[str, list[float]] = {}
-    first = 0
+    first, skinned = 0, start.positions  # where the surfels were when their skinning weights were renewed
     if (state := checkpoint.load()) is not None:
         surface.load_state_dict(state["surface"])
         for optimiser, stored in zip(optimisers, state["optimisers"], strict=True):
             optimiser.load_state_dict(stored)
-        first, curves = state["step"], state["curves"]
+        first, curves, skinned = state["step"], state["curves"], state["skinned"]
+    blend = articulation.blend(skinned, start.neighbours)
 
     def save(step: int) -> None:
-        stored = [optimiser.state_dict() for optimiser in optimisers]
-        checkpoint.save({"step": step, "surface": surface.state_dict(), "optimisers": stored, "curves": curves})
+        state = {"step": step, "surface": surface.state_dict(), "skinned": skinned, "curves": curves}
+        checkpoint.save(state | {"optimisers": [optimiser.state_dict() for optimiser in optimisers]})
 
     def require_finite(what: str, values: Mapping[str, Tensor]) -> None:
         if not bool(torch.isfinite(torch.stack(list(values.values()))).all()):
@@ -88,11 +89,11 @@ def descend(
             raise _not_finite(name, what, values, step, checkpoint)
 
     for step in track(range(first, settings.steps), name):
-        if step % settings.reskin_every == 0 or step == first:
-            # Only where the skinning weights are renewed are they a function of the state that is saved.
-            if step > first and checkpoint.due():
-                save(step)
-            blend = articulation.blend(surface.positions, start.neighbours)
+        if step > first and checkpoint.due():
+            save(step)
+        if step % settings.reskin_every == 0:
+            skinned = surface.positions.detach().clone()
+            blend = articulation.blend(skinned, start.neighbours)
         try:
             terms = look(step, blend, ring)
         except NumericalError:

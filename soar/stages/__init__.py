@@ -16,6 +16,7 @@ class Job:
         seed: seed of every random generator the stage creates.
         threads: threads the stage may use.
         scratch: folder for resumable state, outside the declared outputs; removed after success.
+        code: fingerprint of the code that runs; resumable state of other code is not continued.
     """
 
     sequence: str
@@ -23,3 +24,4 @@ class Job:
     seed: int
     threads: int
     scratch: Path
+    code: str = ""

@@ -109,7 +109,7 @@ def test_noisy_views_are_made_of_target_and_noise(tmp_path):
 
 
 def test_perceptual_part_sees_the_chosen_views_alone(tmp_path):
-    made, given = loss_only(tmp_path, perceptual=3.0), batch(4)
+    made, given = loss_only(tmp_path, perceptual=3.0), batch(4, 0.5)
     given["target"][2, 3] = 0.0
     error = torch.zeros(4, VIEWS, 1, 1, 1)
     error[2, 3], error[0, 1], error[1] = 0.5, 4.0, 9.0  # the second sample is not looked at
@@ -121,6 +121,18 @@ def test_perceptual_part_sees_the_chosen_views_alone(tmp_path):
     assert shown[:, 0, 0, 0].tolist() == [1, 0.25]  # a range of [0, 1], clipped
     assert float(figures["lpips"]) == pytest.approx((1 + 0.25) / 2)
     assert float(loss - plain) == pytest.approx(3.0 * (1 + 0.25) / 4, rel=1e-4)
+
+
+def test_perceptual_part_leaves_pure_noise_alone(tmp_path):
+    """Its best guess is a mean of many answers; asking that to be sharp would cost error."""
+    made = loss_only(tmp_path, perceptual=3.0)
+    given = batch(2, 1.0) | {"look": torch.tensor([0, 1])}
+    _, figures = made.loss(answer(0.5, 0.5), given)
+    assert figures["lpips"] == 0
+    assert not made._lpips.seen
+    given["time"][1] = 0.98
+    made.loss(answer(0.5, 0.5), given)
+    assert [len(shown) for shown, _ in made._lpips.seen] == [1]
 
 
 def test_views_to_look_at(tmp_path):
