@@ -11,7 +11,7 @@ This package is imported at every parse and imports no numerical library.
 from soar.workflow.configuration import canonical, composed, overrides_from
 from soar.workflow.fingerprints import fingerprint
 from soar.workflow.flow import Workflow
-from soar.workflow.paths import benchmark_path, folders, output_paths
+from soar.workflow.paths import benchmark_path, files_of, folders, output_paths
 from soar.workflow.table import CONF, MODELS, SETUP, STAGES
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "benchmark_path",
     "canonical",
     "composed",
+    "files_of",
     "fingerprint",
     "folders",
     "output_paths",

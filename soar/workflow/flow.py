@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from soar.errors import ConfigError
 from soar.workflow.configuration import canonical, composed, overrides_from, variant_names
-from soar.workflow.paths import benchmark_path, output_paths
-from soar.workflow.table import CONF, REPORT, STAGES
+from soar.workflow.paths import benchmark_path, fill, output_paths
+from soar.workflow.table import BROUGHT, CONF, REPORT, STAGES
 
 
 class Workflow:
@@ -38,6 +39,7 @@ class Workflow:
         self.sequences: list[str] = list(base["sequences"] or known)
         if set(self.sequences) - set(known):
             raise ConfigError("unknown sequence", expected=", ".join(known), got=", ".join(self.sequences))
+        self._check_brought()
 
     def _check_providers(self) -> None:
         for variant in self.variants:
@@ -51,6 +53,19 @@ class Workflow:
                         got=f"a dataset that gives {', '.join(sorted(self._adapter.provides)) or 'its footage only'}",
                         cure=f"choose {stage}={others[0]}, or a dataset that knows them, such as dataset=synthetic",
                     )
+
+    def _check_brought(self) -> None:
+        for variant in self.variants:
+            for name, stage in STAGES.items():
+                for sequence in self.sequences:
+                    for camera in self.cameras(sequence, stage.cameras) if stage.per_camera else [None]:
+                        for key, path in self.brought(name, sequence, variant, camera).items():
+                            if not Path(path).exists():
+                                raise ConfigError(
+                                    f"the stage {name} is given {key}={path}, which is not there",
+                                    cure="correct the path in conf/ or in the override; {sequence} and {camera} in it "
+                                    "stand for the names of those",
+                                )
 
     # configuration of a stage
 
@@ -83,6 +98,16 @@ class Workflow:
         """Input name -> place, as in :class:`Stage`, of a stage in this configuration."""
         entry = STAGES[stage]
         return {**entry.reads, **(entry.given if self._is_given(stage, variant) else {})}
+
+    def brought(self, stage: str, sequence: str, variant: str, camera: str | None = None) -> dict[str, str]:
+        """Files and folders of the user's that the configuration of a stage names: key -> path, placeholders filled."""
+        config = self.config(variant)
+        result: dict[str, str] = {}
+        for node in STAGES[stage].config:
+            if node != "dataset":  # whose files are those of its adapter
+                named = {key: config[node].get(key) for key in BROUGHT}
+                result |= {key: fill(path, sequence, camera) for key, path in named.items() if path is not None}
+        return result
 
     # paths
 
@@ -118,7 +143,7 @@ class Workflow:
             else:
                 names = self.cameras(sequence, STAGES[above].cameras)
                 result[name] = [f"{folder}/{file.format(camera=c)}" for c in names]
-        return result
+        return result | self.brought(stage, sequence, variant, camera)
 
     def outputs(self, stage: str, sequence: str, variant: str) -> list[str]:
         """Every file a stage leaves for a sequence."""

@@ -25,6 +25,18 @@ def folders(files: Mapping[str, str | Iterable[str]]) -> dict[str, str]:
     return result
 
 
+def fill(path: str, sequence: str, camera: str | None) -> str:
+    """A path with its placeholders ``{sequence}`` and ``{camera}`` filled in."""
+    return path.replace("{sequence}", sequence).replace("{camera}", camera or "")
+
+
+def files_of(path: str) -> list[str]:
+    """What a job that is given ``path`` depends on: the file, or every file in a folder and below; itself if absent."""
+    if not Path(path).is_dir():
+        return [path]
+    return sorted(str(file) for file in Path(path).rglob("*") if file.is_file())
+
+
 def output_paths(stage: Stage, folder: str, camera: str | None) -> dict[str, str]:
     """Output name -> path of one job."""
     return {name: f"{folder}/{file}".replace("{camera}", camera or "") for name, file in stage.files.items()}

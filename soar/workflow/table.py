@@ -163,6 +163,9 @@ STAGES: dict[str, Stage] = {
     )
 }
 
+BROUGHT = ("source", "network", "encoder", "decoder", "detector")
+"""Keys of a stage's configuration that name a file or folder of the user's: an input of the stage, of the same name."""
+
 SETUP = ("fetch", "models")
 """Set-up stages: they fill ``data/`` and know no sequence."""
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from soar.artifacts import read_json, sha256_file
-from soar.errors import ModelFileError
-from soar.models.onnx import Signature, session
+from soar.errors import ConfigError, ModelFileError
+from soar.models.onnx import ANY, Signature, session
 from soar.networks import export as exporter
 from soar.networks.export import difference, export
 from soar.networks.normal_inputs import SIGNATURE
@@ -72,7 +72,8 @@ def test_loader_refuses_an_altered_file(exported, tmp_path):
     ("side", "name", "shape"),
     [
         ("inputs", "image", (None, 4, None, None)),
-        ("inputs", "image", (None, 3, 512, 512)),
+        ("inputs", "image", (None, None, None, None)),  # the file's 3 is not free
+        ("inputs", "image", (None, 3, None)),
         ("inputs", "picture", (None, 3, None, None)),
         ("outputs", "nml_F", (None, 1, None, None)),
         ("outputs", "depth", (None, 1, None, None)),
@@ -82,6 +83,24 @@ def test_loader_refuses_another_signature(exported, side, name, shape):
     wrong = dataclasses.replace(SIGNATURE, **{side: {**getattr(SIGNATURE, side), name: shape}})
     with pytest.raises(ModelFileError, match=f"other {side}"):
         session(exported, 1, wrong)
+
+
+def test_a_free_axis_takes_any_size_and_others_may_follow(exported):
+    loose = dataclasses.replace(SIGNATURE, inputs={**SIGNATURE.inputs, "image": (1, ANY, 512, ANY)})
+    session(exported, 1, loose)
+    few = dataclasses.replace(SIGNATURE, outputs={"nml_F": SIGNATURE.outputs["nml_F"]})
+    with pytest.raises(ModelFileError, match="other outputs"):
+        session(exported, 1, few)
+    session(exported, 1, dataclasses.replace(few, others_may_follow=True))
+
+
+def test_devices(exported, monkeypatch):
+    monkeypatch.setattr("onnxruntime.get_available_providers", lambda: ["CPUExecutionProvider"])
+    session(exported, 1, device="auto")
+    with pytest.raises(ConfigError, match="unknown device"):
+        session(exported, 1, device="gpu")
+    with pytest.raises(ConfigError, match="no CUDA"):
+        session(exported, 1, device="cuda")
 
 
 def test_loader_refuses_another_type(tmp_path):

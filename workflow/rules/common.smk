@@ -7,6 +7,7 @@ from soar.workflow import (
     Workflow,
     benchmark_path,
     canonical,
+    files_of,
     fingerprint,
     folders,
     output_paths,
@@ -54,7 +55,12 @@ def reads(stage):
             stage, w.sequence, w.variant, getattr(w, "camera", None)
         ).get(name, [])
 
-    return {name: path(name) for name in input_names(stage)}
+    def brought(w):
+        """Every file of the user's own that the configuration names."""
+        named = FLOW.brought(stage, w.sequence, w.variant, getattr(w, "camera", None))
+        return [file for path in named.values() for file in files_of(path)]
+
+    return {name: path(name) for name in input_names(stage)} | {"brought": brought}
 
 
 def writes(stage):
@@ -70,6 +76,7 @@ def params(stage):
     def files(wildcards, input, output):
         camera = getattr(wildcards, "camera", None)
         named = {name: getattr(input, name) for name in input_names(stage)}
+        named |= FLOW.brought(stage, wildcards.sequence, wildcards.variant, camera)
         place = FLOW.folder(stage, wildcards.sequence, wildcards.variant)
         return canonical(
             {
