@@ -46,7 +46,7 @@ class Weights:
         pose: squared joint angles from the rest pose times stiffness, radians squared, sum over joints.
         shape: squared betas, sum.
         offset: squared keypoint offsets, centimetres squared, mean over keypoints.
-        acceleration: squared second difference of the translation, centimetres squared.
+        acceleration: squared second difference of the body's keypoints over time, centimetres squared, mean.
         camera: squared turns of the cameras, radians squared, sum; 0 holds them, as do fewer than three cameras.
         world: robust squared distance of keypoints to the metric landmarks about the hips, centimetres squared, mean.
         stature: squared deviation from the given stature, centimetres squared.
@@ -162,6 +162,7 @@ class Objective:
         self.points = like.new_tensor(seen.points)
         self.unit = like.new_tensor(seen.box_height() / 100)
         self.world = like.new_tensor(seen.world)
+        self.valid = model.keypoint_valid[: len(BODY)]
         self.world_weight = self.weight[:, :, : len(BODY)]
         self.height = height(model)
         self.pairs: Pairs | None = None
@@ -221,8 +222,9 @@ class Objective:
         if w.offset and self.settings.offsets:
             out["offset"] = w.offset * 1e4 * (offsets**2).sum(-1).mean()
         if w.acceleration and T > 2:
-            second = translation[2:] - 2 * translation[1:-1] + translation[:-2]
-            out["acceleration"] = w.acceleration * 1e4 * (second**2).sum() / (T - 2)
+            body = points[:, : len(BODY)][:, self.valid]
+            second = body[2:] - 2 * body[1:-1] + body[:-2]
+            out["acceleration"] = w.acceleration * 1e4 * (second**2).sum(-1).mean()
         if self.turned:
             out["camera"] = w.camera * ((self.variables["cameras"] * self.scales["cameras"]) ** 2).sum()
         if w.world:

@@ -60,6 +60,8 @@ def _against(health: Health, model: BodyModel, motion: BodyMotion, reference: Bo
     depth = (camera.to_camera(ours[:, root]) - camera.to_camera(theirs[:, root]))[:, 2]
     health.add("mpjpe", 100 * measure.aligned_error(ours, theirs, root).mean(), "cm")
     health.add("mpjpe_procrustes", 100 * measure.procrustes_error(ours, theirs).mean(), "cm")
+    steadiness = [measure.jitter(points) for points in (ours, theirs)]
+    health.add("jitter_ratio", steadiness[0] / max(steadiness[1], 1e-9))
     health.add("depth_bias", 100 * depth.mean(), "cm")
     health.add("depth_deviation", 100 * depth.std(), "cm")
 

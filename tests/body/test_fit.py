@@ -113,6 +113,21 @@ def test_recovers_pose_from_one_camera_up_to_depth(model, motion):
     )
 
 
+def test_second_differences_still_the_depth_of_one_camera_and_not_its_motion(model, motion):
+    seen = stickman.observe(model, motion, stickman.cameras(1), noise_px=2.0)
+    start = pose_from_points(model, collapse(model), points_from_world(seen.cameras[0], seen), NO_MASKS.initial)
+    wanted = measure.jitter(measure.motion_keypoints(model, motion)[:, :25])
+    found = {}
+    for weight in (0.0, 0.05):
+        options = with_weights(NO_MASKS, world=0.1, smooth=0.01, pose=1e-4, acceleration=weight)
+        points = measure.motion_keypoints(model, doubled(fit_body(model, seen, start, options).motion))[:, :25]
+        span = np.nanmax(np.ptp(points, axis=0))
+        found[weight] = measure.jitter(points), span
+    assert found[0.0][0] > 1.5 * wanted
+    assert found[0.05][0] < 0.75 * found[0.0][0]
+    assert found[0.05][1] > 0.9 * np.nanmax(np.ptp(measure.motion_keypoints(model, motion)[:, :25], axis=0))
+
+
 def test_silhouettes_recover_a_shape_that_keypoints_do_not_show(model, motion):
     """Keypoints on the midline and offsets hide the width; the outline shows it."""
     views = stickman.cameras(4)
