@@ -41,7 +41,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="soar", description="Complete, animatable avatars from a video.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     models = commands.add_parser("models", help="list the model files: what is there, what is missing, licence, source")
-    models.add_argument("action", nargs="?", choices=["list", "fetch"], default="list")
+    models.add_argument("action", nargs="?", choices=["list", "fetch", "check"], default="list")
+    models.add_argument("path", nargs="?", type=Path, help="check: a file or folder of yours: what it is, what takes it")
     models.add_argument(
         "--with", dest="extra", nargs="*", default=[], metavar="NAME", help="optional models to fetch too"
     )
@@ -63,7 +64,12 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--mode", choices=["pixel", "local"], default="pixel", help="default: pixel")
     export.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)), help="threads to use")
     export.set_defaults(run=_export_prior)
-    for name in ("fetch", *workflow.STAGES, "report"):
+    normals = commands.add_parser("export-normals", help="write ICON's or ECON's normal networks as ONNX files")
+    normals.add_argument("checkpoint", type=Path, help="normal.ckpt (docs/normals.md)")
+    normals.add_argument("folder", type=Path, help="for the ONNX files")
+    normals.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)), help="threads to use")
+    normals.set_defaults(run=_export_normals)
+    for name in ("fetch", "body_model", *workflow.STAGES, "report"):
         stage = commands.add_parser(name, help=f"run the stage {name}")
         stage.add_argument("overrides", nargs="*", help="Hydra overrides, e.g. dataset=video dataset.path=my.mp4")
         stage.add_argument("--sequence", help="sequence to run; the only one if there is one")
@@ -84,6 +90,14 @@ def _job_options(parser: argparse.ArgumentParser) -> None:
 def _models(options: argparse.Namespace) -> None:
     if options.files is not None:
         _stage(options)
+        return
+    if (options.action == "check") != (options.path is not None):
+        raise ConfigError("models check: which file or folder?", cure="python -m soar models check PATH")
+    if options.action == "check":
+        from soar.models.identify import report
+        from soar.stages._forms import FORMS
+
+        print(report(options.path, FORMS))
         return
     from soar.models.describe import bundled, describe, table
     from soar.networks import DATA
@@ -115,6 +129,13 @@ def _export_prior(options: argparse.Namespace) -> None:
     export_checkpoint(options.checkpoint, options.folder, options.mode, Path(workflow.MODELS), options.threads)
 
 
+def _export_normals(options: argparse.Namespace) -> None:
+    _allot(options.threads)
+    from soar.perception.icon_export import export_normals
+
+    export_normals(options.checkpoint, options.folder, options.threads)
+
+
 def _stage(options: argparse.Namespace) -> None:
     _allot(options.threads)
     if options.files is None:
@@ -135,6 +156,9 @@ def _by_hand(options: argparse.Namespace) -> None:
     flow = workflow.Workflow({"overrides": options.overrides})
     if options.stage in ("fetch", "report"):
         options.cfg, options.files = flow.dataset_job(options.stage)
+        return
+    if options.stage == "body_model":
+        options.cfg, options.files = flow.body_model_job(options.variant)
         return
     if options.sequence is None:
         if len(flow.sequences) != 1:

@@ -15,7 +15,7 @@ FLOORS = [
     {"health", "raster"},
     {"models"},
     {"body", "networks"},
-    {"perception", "caption", "datasets", "synthetic", "priors"},
+    {"perception", "importers", "caption", "datasets", "synthetic", "priors"},
     {"avatar"},
     {"losses", "metrics"},
     {"optimise"},

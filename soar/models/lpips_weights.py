@@ -2,49 +2,13 @@
 
 from __future__ import annotations
 
-import io
-import pickle
-from typing import Any
-
 import numpy as np
 import torch
 
 from soar.errors import ModelFileError
+from soar.models.pickles import unpickle_arrays
 
 VERSION = "1"  # of the layout written below; a change remakes the files
-
-# All that a pickled numpy array refers to.
-_ALLOWED = {
-    ("numpy", "dtype"): np.dtype,
-    ("numpy", "ndarray"): np.ndarray,
-    ("numpy.core.multiarray", "_reconstruct"): np._core.multiarray._reconstruct,
-}
-
-
-class _ArraysOnly(pickle.Unpickler):
-    def find_class(self, module: str, name: str) -> Any:
-        try:
-            return _ALLOWED[module, name]
-        except KeyError:
-            raise pickle.UnpicklingError(f"refers to {module}.{name}") from None
-
-
-def unpickle_arrays(content: bytes, name: str) -> dict[str, Any]:
-    """Unpickle nested dicts of numpy arrays and nothing else.
-
-    Raises:
-        ModelFileError: the pickle is damaged, or refers to anything but numpy arrays.
-    """
-    try:
-        tree = _ArraysOnly(io.BytesIO(content)).load()
-    # Damaged pickles fail in any of these ways, by the documentation of the pickle module.
-    except (pickle.UnpicklingError, EOFError, AttributeError, IndexError, ValueError, TypeError, KeyError) as error:
-        raise ModelFileError(
-            f"{name} is not a pickle of plain arrays: {error}", expected="dicts of numpy arrays", cure="fetch it again"
-        ) from error
-    if not isinstance(tree, dict):
-        raise ModelFileError(f"{name} holds a {type(tree).__name__}", expected="dicts of numpy arrays")
-    return tree
 
 
 def lpips_tensors(content: bytes, name: str) -> dict[str, torch.Tensor]:

@@ -19,15 +19,13 @@ class BodyGeometry:
     """Renders a body's place, normals and alpha.
 
     Args:
-        body: the model whose posed vertices will be rendered. Places are coordinates on its mean shape at rest along
-            its own axes: of another body than the default they agree with what the bundled prior was taught only as far
-            as the two bodies at rest agree.
+        body: the model whose posed vertices will be rendered. Places are coordinates on the default body's mean shape
+            at rest, which the bundled prior was taught with, whatever the body.
     """
 
     def __init__(self, body: BodyModel) -> None:
         self.faces = body.faces[~body.interior]
-        axes = torch.stack([body.left, -body.front, body.up])
-        self.place = (body.v_template @ axes.T - body.v_template.new_tensor(CANONICAL_CENTRE)).cpu()
+        self.place = (body.places() - body.v_template.new_tensor(CANONICAL_CENTRE)).cpu()
 
     def normals(self, vertices: Tensor) -> Tensor:
         """(V, 3) outward unit normals of posed vertices (V, 3)."""

@@ -1,4 +1,4 @@
-"""The subject in every frame of one camera as a soft mask: estimated, or the dataset's own."""
+"""The subject in every frame of one camera as a soft mask: estimated, made elsewhere, or the dataset's own."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import numpy as np
 
 from soar.artifacts import ImageArchive, write_image, write_images
 from soar.body.openpose import BODY
+from soar.config import settings
 from soar.datasets.sequence import Sequence
 from soar.errors import ArtifactError
 from soar.health import Health
+from soar.perception.brought import brought_file
 from soar.perception.diagnostics import MaskFigures, area_jitter, mask_figures
 from soar.perception.keypoints import Keypoints
+from soar.perception.mask_files import MaskFiles, MaskFileSettings
 from soar.perception.masks import MaskProvider
 from soar.perception.registry import mask_provider
 from soar.perception.roi import Roi
@@ -42,8 +45,11 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
     found: Iterator[np.ndarray]
     if "given" in inputs:
         found = (alpha / np.float32(255) for alpha in archive(inputs["given"], len(frames), "alpha"))
+    elif cfg["masks"].get("provider") == "files":
+        options, source = settings(MaskFileSettings, cfg["masks"], "masks"), brought_file(inputs, "source", "masks")
+        found = MaskFiles(options, source, sequence, str(job.camera)).masks(record.keypoints[:, : len(BODY)])
     else:
-        found = _estimated(frames, record, mask_provider(cfg["masks"], Path(inputs["models"]), job.threads))
+        found = _estimated(frames, record, mask_provider(cfg["masks"], inputs, job.threads))
     figures: list[MaskFigures] = []
     write_images(outputs["masks"], _measured(track(found, "masks", len(frames)), figures), ".png")
     write_image(outputs["evidence"], _sheet(frames, ImageArchive(outputs["masks"]), sequence.frame_ids))
@@ -51,7 +57,9 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
 
 
 def _estimated(frames: ImageArchive, record: Keypoints, estimate: MaskProvider) -> Iterator[np.ndarray]:
-    """Masks (H, W) float32 in [0, 1] one at a time, so that memory does not grow with the clip."""
+    """Masks (H, W) float32 in [0, 1] one at a time and in order, so that memory does not grow with the clip and a
+    provider may go by the frames before; it is not asked about frames without the subject.
+    """
     for t, image in enumerate(frames):
         if record.present[t]:
             yield estimate(image, Roi(*map(float, record.roi[t])), record.keypoints[t, : len(BODY)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from soar.errors import ConfigError
 from soar.workflow.configuration import canonical, composed, overrides_from, variant_names
 from soar.workflow.paths import benchmark_path, fill, output_paths
-from soar.workflow.table import BROUGHT, CONF, REPORT, STAGES
+from soar.workflow.table import BROUGHT, CONF, DEFAULT_BODY, MODELS, REPORT, STAGES
 
 
 class Workflow:
@@ -35,6 +36,7 @@ class Workflow:
             raise ConfigError("unknown variant", expected=", ".join(variant_names()), got=", ".join(unknown))
         self._adapter = adapter(base["dataset"])
         self._check_providers()
+        self._check_body_models()
         known = self._adapter.sequences()
         self.sequences: list[str] = list(base["sequences"] or known)
         if set(self.sequences) - set(known):
@@ -51,8 +53,33 @@ class Workflow:
                         f"{stage}=dataset: the dataset {self.dataset} gives no {stage}",
                         expected=f"one of {', '.join(others)}",
                         got=f"a dataset that gives {', '.join(sorted(self._adapter.provides)) or 'its footage only'}",
-                        cure=f"choose {stage}={others[0]}, or a dataset that knows them, such as dataset=synthetic",
+                        cure=f"choose one of those for {stage}, or a dataset that knows, such as dataset=synthetic",
                     )
+
+    def _check_body_models(self) -> None:
+        for variant in self.variants:
+            node = self.config(variant)["body_model"]
+            options = sorted(path.stem for path in (CONF / "body_model").glob("*.yaml"))
+            if node["provider"] not in options:
+                raise ConfigError("unknown body model", expected=", ".join(options), got=str(node["provider"]))
+            if "source" not in node:
+                continue
+            chosen = f"body_model={node['provider']}"
+            if "body" in self._adapter.provides:
+                raise ConfigError(
+                    f"{chosen}: the people of the dataset {self.dataset} are known as bodies of the default model",
+                    expected="body_model=anny",
+                    got=chosen,
+                    cure=f"choose body_model=anny, or a dataset other than {self.dataset}",
+                )
+            if node["source"] is None or not Path(node["source"]).is_file():
+                raise ConfigError(
+                    f"{chosen} needs the model file, which you bring",
+                    expected="body_model.source names a file",
+                    got="nothing" if node["source"] is None else f"{node['source']}, which is not there",
+                    cure=f"snakemake --config {chosen} 'overrides=[\"body_model.source=SMPLX_NEUTRAL.npz\"]'; "
+                    "docs/body.md tells where the file comes from",
+                )
 
     def _check_brought(self) -> None:
         for variant in self.variants:
@@ -82,7 +109,8 @@ class Workflow:
     def _lineage(self, stage: str, variant: str) -> str:
         reads = self._reads(stage, variant).values()
         above = sorted({path.split("/")[0] for path in reads if not path.startswith("=")})
-        return canonical([self.slice(stage, variant), {name: self._lineage(name, variant) for name in above}])
+        fixed = sorted(self._fixed(path, variant) for path in reads if path.startswith("="))
+        return canonical([self.slice(stage, variant), {name: self._lineage(name, variant) for name in above}, fixed])
 
     @functools.cache  # noqa: B019
     def owner(self, stage: str, variant: str) -> str:
@@ -98,6 +126,10 @@ class Workflow:
         """Input name -> place, as in :class:`Stage`, of a stage in this configuration."""
         entry = STAGES[stage]
         return {**entry.reads, **(entry.given if self._is_given(stage, variant) else {})}
+
+    def _fixed(self, entry: str, variant: str) -> str:
+        """The path of an entry that is no stage's, see :class:`Stage`."""
+        return entry[1:].replace("{body_model}", self.body_model(variant))
 
     def brought(self, stage: str, sequence: str, variant: str, camera: str | None = None) -> dict[str, str]:
         """Files and folders of the user's that the configuration of a stage names: key -> path, placeholders filled."""
@@ -132,7 +164,7 @@ class Workflow:
         result: dict[str, str | list[str]] = {}
         for name, entry in self._reads(stage, variant).items():
             if entry.startswith("="):
-                result[name] = entry[1:]
+                result[name] = self._fixed(entry, variant)
                 continue
             above, _, file = entry.partition("/")
             folder = self.folder(above, sequence, variant)
@@ -174,6 +206,38 @@ class Workflow:
         return [name for name in STAGES if made.get(name, True)]
 
     # jobs that know no sequence
+
+    def body_model(self, variant: str) -> str:
+        """The body record of a variant. The name of one that is made of a user's file tells its configuration apart."""
+        node = self.config(variant)["body_model"]
+        if "source" not in node:
+            return DEFAULT_BODY
+        return f"{MODELS}/body/{node['provider']}-{hashlib.sha256(canonical(node).encode()).hexdigest()[:12]}.npz"
+
+    def body_model_job(self, variant: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Configuration and files of the job that makes a variant's body record of a file of the user's.
+
+        Raises:
+            ConfigError: the variant works with the default body.
+        """
+        config, record = self.config(variant), self.body_model(variant)
+        if record == DEFAULT_BODY:
+            raise ConfigError(
+                "the default body comes with the other model files", cure="run `python -m soar models fetch`"
+            )
+        return {"seed": 0, "body_model": config["body_model"]}, {
+            "inputs": {"default": DEFAULT_BODY, "source": config["body_model"]["source"]},
+            "outputs": {"body_model": record, "provenance": f"{record.removesuffix('.npz')}.provenance.json"},
+        }
+
+    def body_model_jobs(self) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+        """Name of each record that is made of a file of the user's -> its job, :meth:`body_model_job`."""
+        records = {self.body_model(variant): variant for variant in self.variants}
+        return {
+            Path(record).stem: self.body_model_job(variant)
+            for record, variant in records.items()
+            if record != DEFAULT_BODY
+        }
 
     def dataset_job(self, stage: str) -> tuple[dict[str, Any], dict[str, Any]]:
         """Configuration and files of a job for the whole dataset: ``fetch`` or ``report``."""

@@ -10,6 +10,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CONF = ROOT / "conf"
 
 MODELS = "data/models"
+DEFAULT_BODY = f"{MODELS}/body/anny.npz"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,7 +21,8 @@ class Stage:
         name: rule, module in ``soar/stages`` and folder of the artifacts.
         config: configuration nodes the stage sees.
         reads: input name -> ``stage/file`` of the same sequence. ``{camera}`` is the job's own camera in a per-camera
-            stage; a sequence-level stage reads the file of every camera. ``=path`` is a path as it stands.
+            stage; a sequence-level stage reads the file of every camera. ``=path`` is a path as it stands, but for
+            ``{body_model}``, the record of the configured body.
         writes: output name -> file below the stage's folder; with ``{camera}`` in a per-camera stage.
         per_camera: one job per camera instead of one per sequence.
         cameras: which cameras a per-camera stage runs for: ``all`` or ``train``.
@@ -46,7 +48,7 @@ class Stage:
 
 
 _MODELS = {"models": f"={MODELS}/manifest.json"}
-_BODY_MODEL = {"body_model": f"={MODELS}/body/anny.npz"}
+_BODY_MODEL = {"body_model": "={body_model}"}
 _SEQUENCE = {"sequence": "ingest/sequence.json"}
 _FRAMES = {"frames": "frames/{camera}.zip"}
 _MASKS = {"masks": "masks/{camera}.zip"}
@@ -166,7 +168,7 @@ STAGES: dict[str, Stage] = {
 BROUGHT = ("source", "network", "encoder", "decoder", "detector")
 """Keys of a stage's configuration that name a file or folder of the user's: an input of the stage, of the same name."""
 
-SETUP = ("fetch", "models")
+SETUP = ("fetch", "models", "body_model")
 """Set-up stages: they fill ``data/`` and know no sequence."""
 
 REPORT = {

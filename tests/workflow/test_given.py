@@ -48,7 +48,7 @@ SMALL = (
 def test_a_dataset_that_gives_nothing_refuses_by_name(group: str) -> None:
     with pytest.raises(ConfigError, match=f"{group}=dataset: the dataset demo gives no {group}") as caught:
         Workflow({group: "dataset"})
-    assert f"choose {group}=" in caught.value.cure
+    assert f"choose one of those for {group}" in caught.value.cure
     assert "dataset" not in caught.value.expected
 
 

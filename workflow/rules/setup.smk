@@ -1,4 +1,4 @@
-# What fills data/: model files and, where a dataset may be downloaded, its footage.
+# What fills data/: model files, the body that a user brings and, where a dataset may be downloaded, its footage.
 
 
 rule models:
@@ -28,6 +28,34 @@ rule models:
         "Fetching, checking and converting the model files"
     shell:
         RUN_DATASET
+
+
+BODY_MODELS = FLOW.body_model_jobs()
+
+if BODY_MODELS:
+
+    rule body_model:
+        input:
+            default=f"{MODELS}/body/anny.npz",
+            source=lambda w: BODY_MODELS[w.record][1]["inputs"]["source"],
+        output:
+            body_model=f"{MODELS}/body/{{record}}.npz",
+            provenance=f"{MODELS}/body/{{record}}.provenance.json",
+        log:
+            f"{MODELS}/body/{{record}}.log",
+        wildcard_constraints:
+            record="|".join(BODY_MODELS),
+        resources:
+            mem_mb=4000,
+            runtime=15,
+        params:
+            cfg=lambda w: canonical(BODY_MODELS[w.record][0]),
+            code=fingerprint("body_model", {}),
+            files=lambda w: canonical(BODY_MODELS[w.record][1]),
+        message:
+            "Converting {input.source} to a body record"
+        shell:
+            RUN_DATASET
 
 
 if FLOW.downloads():
