@@ -42,7 +42,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     models = commands.add_parser("models", help="list the model files: what is there, what is missing, licence, source")
     models.add_argument("action", nargs="?", choices=["list", "fetch", "check"], default="list")
-    models.add_argument("path", nargs="?", type=Path, help="check: a file or folder of yours: what it is, what takes it")
+    models.add_argument(
+        "path", nargs="?", type=Path, help="check: a file or folder of yours: what it is, what takes it"
+    )
     models.add_argument(
         "--with", dest="extra", nargs="*", default=[], metavar="NAME", help="optional models to fetch too"
     )

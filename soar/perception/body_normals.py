@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from soar.geometry.meshes import vertex_normals
-from soar.raster import Pinhole, RasterSettings, rasterise_mesh
+from soar.perception.normal_maps import Context, Crop
+from soar.raster import Pinhole, rasterise_mesh
 from soar.raster.types import Backend
 
 
@@ -49,11 +50,20 @@ class BodyNormalSettings:
 class BodyNormals:
     """The posed body model's own normals: smooth, without clothes or hair, and there for every pose and view."""
 
-    def __init__(self, options: BodyNormalSettings, raster: RasterSettings, threads: int) -> None:
-        self.backend = raster.backend
+    remarks = ()
 
-    def maps(
-        self, rgb: np.ndarray, alpha: np.ndarray, vertices: Tensor, faces: Tensor, pinhole: Pinhole
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def __init__(self, options: BodyNormalSettings, context: Context) -> None:
+        self.backend = context.backend
+
+    def maps(self, crop: Crop) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`soar.perception.normals.NormalProvider`; the photograph and its mask are not looked at."""
-        return body_maps(vertices, faces, pinhole, self.backend)
+        return body_maps(crop.vertices, crop.faces, crop.pinhole, self.backend)
+
+
+FRONT_ONLY = "The normal maps are of the front only; behind, the body model's own normals stand in."
+"""Remark of a provider that uses :func:`behind`."""
+
+
+def behind(crop: Crop, inside: np.ndarray, backend: Backend) -> np.ndarray:
+    """The body's back normals (H, W, 3) float32 within a mask (H, W), for a provider that knows the front only."""
+    return np.where(inside[..., None], body_maps(crop.vertices, crop.faces, crop.pinhole, backend)[1], np.float32(0))

@@ -8,13 +8,12 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from torch import Tensor
 
 from soar.models.onnx import session
 from soar.networks import DATA
 from soar.networks.normal_inputs import OUTPUTS, SIGNATURE, assemble, batch, fill, mirrored, nearest_known
 from soar.perception.body_normals import body_maps
-from soar.raster import Pinhole, RasterSettings
+from soar.perception.normal_maps import Context, Crop, settled, unit, windowed
 
 BUNDLED = DATA / "normals.onnx"
 """The network that comes with the package; ``docs/networks.md`` is its model card."""
@@ -73,7 +72,7 @@ class NormalEstimator:
         outputs = self._run(inputs)
         if self.mirror:
             other = mirrored(self._run(mirrored(inputs)))
-            outputs = {name: _unit(value + other[name], 1) for name, value in outputs.items()}
+            outputs = {name: unit(value + other[name], 1) for name, value in outputs.items()}
         front, back = (outputs[name][0, :, :height, :width].transpose(1, 2, 0) for name in OUTPUTS)
         return front, back
 
@@ -89,39 +88,24 @@ class NormalModel:
         ModelFileError: as :class:`NormalEstimator`.
     """
 
-    def __init__(self, options: NormalModelSettings, raster: RasterSettings, threads: int) -> None:
-        self.options, self.backend = options, raster.backend
-        self.estimator = NormalEstimator(options.network, options.multiple, options.mirror, threads)
+    remarks = ()
 
-    def maps(
-        self, rgb: np.ndarray, alpha: np.ndarray, vertices: Tensor, faces: Tensor, pinhole: Pinhole
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def __init__(self, options: NormalModelSettings, context: Context) -> None:
+        self.options, self.backend = options, context.backend
+        network = context.brought.get("network")
+        self.estimator = NormalEstimator(network, options.multiple, options.mirror, context.threads)
+
+    def maps(self, crop: Crop) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`soar.perception.normals.NormalProvider`; zero outside the mask."""
-        height, width = alpha.shape
+        height, width = crop.alpha.shape
         scale = min(1.0, self.options.long_side / max(height, width))
-        view = _scaled(pinhole, round(width * scale), round(height * scale))
-        size = (view.width, view.height)
-        small, mask = (cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (rgb, alpha))
-        maps = self.estimator(small, mask, *body_maps(vertices, faces, view, self.backend))
+        size = (round(width * scale), round(height * scale))
+        small, mask = (cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (crop.rgb, crop.alpha))
+        view = windowed(crop.pinhole, (0, 0, width, height), *size)
+        maps = self.estimator(small, mask, *body_maps(crop.vertices, crop.faces, view, self.backend))
         least = 255 * self.options.threshold
         # Beyond the small mask the network was never taught, but enlarging looks half a pixel beyond.
         beyond = nearest_known(mask >= least, np.ones_like(mask, bool))
-        front, back = (_enlarged(fill(normals, beyond), alpha >= least) for normals in maps)
+        large = (cv2.resize(fill(normals, beyond), (width, height), interpolation=cv2.INTER_LINEAR) for normals in maps)
+        front, back = (settled(normals, crop.alpha >= least) for normals in large)
         return front, back
-
-
-def _scaled(pinhole: Pinhole, width: int, height: int) -> Pinhole:
-    """The same view on another number of pixels."""
-    across, down = width / pinhole.width, height / pinhole.height
-    fx, cx, fy, cy = pinhole.fx * across, pinhole.cx * across, pinhole.fy * down, pinhole.cy * down
-    return Pinhole(fx, fy, cx, cy, width, height)
-
-
-def _enlarged(normals: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Normals (h, w, 3) at the size of ``inside`` (H, W), unit there and zero elsewhere."""
-    large = cv2.resize(normals, inside.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return np.where(inside[..., None], _unit(large, -1), np.float32(0))
-
-
-def _unit(vectors: np.ndarray, axis: int) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=axis, keepdims=True).clip(1e-6)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import collections.abc
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from soar.config import settings
 from soar.datasets.planes import cropped_normals
 from soar.datasets.sequence import Sequence
 from soar.health import Health
-from soar.perception.normals import NormalProvider, encode, normal_provider, sign_test
+from soar.perception.normals import Context, Crop, NormalProvider, encode, normal_provider, sign_test
 from soar.progress import track
 from soar.raster import RasterSettings
 from soar.report.pictures import colour_normals, composite, grid, spread
@@ -30,11 +32,14 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
     """Write the maps of ``job.camera``, a sheet of some frames, and health."""
     crops = read_npz(inputs["crops"])
     count, height, width = crops["alpha"].shape
+    provider: NormalProvider | None = None
     if "given" in inputs:
         found = _given(inputs, crops)
     else:
-        provider = normal_provider(cfg["normals"], settings(RasterSettings, cfg["raster"], "raster"), job.threads)
-        found = _estimated(provider, BodyModel.load(inputs["body_model"]), BodyMotion.read(inputs["body"]), crops)
+        backend = settings(RasterSettings, cfg["raster"], "raster").backend
+        posed = _Crops.of(inputs, crops, str(job.camera))
+        provider = normal_provider(cfg["normals"], Context(inputs, posed, posed.frames, backend, job.threads))
+        found = map(provider.maps, posed)
 
     maps = {side: np.zeros((count, height, width, 3), np.int8) for side in ("front", "back")}
     overlaps, failed = [], []
@@ -67,16 +72,54 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
             f"Camera {job.camera}: in {len(failed)} of {count} crops the normals fail the sign test (first: crop "
             f"{failed[0] + 1}); the body is out of the picture there, or the maps are in another convention."
         )
+    for remark in provider.remarks if provider else ():
+        health.remark(f"Camera {job.camera}: {remark}")
     health.write(outputs["health"])
 
 
-def _estimated(
-    provider: NormalProvider, model: BodyModel, motion: BodyMotion, crops: Mapping[str, np.ndarray]
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Front and back normals (H, W, 3) float32 of every crop, from its picture and the posed body."""
-    faces = model.faces[~model.interior]
-    for i, vertices, pinhole in posed_in_crops(model, motion, crops, range(len(crops["rgb"]))):
-        yield provider.maps(crops["rgb"][i], crops["alpha"][i], vertices, faces, pinhole)
+@dataclasses.dataclass(frozen=True)
+class _Crops(collections.abc.Sequence[Crop]):
+    """The crops of a camera, each with the body posed in it when it is looked at.
+
+    Attributes:
+        model, motion: the body.
+        crops: what the stage ``crops`` left.
+        frames: number in its recording of each crop's frame.
+        size: width and height of the whole stored frame, pixels.
+    """
+
+    model: BodyModel
+    motion: BodyMotion
+    crops: Mapping[str, np.ndarray]
+    frames: list[int]
+    size: tuple[int, int]
+
+    @staticmethod
+    def of(inputs: Mapping[str, Path], crops: Mapping[str, np.ndarray], camera: str) -> _Crops:
+        model, motion = BodyModel.load(inputs["body_model"]), BodyMotion.read(inputs["body"])
+        sequence = Sequence.read(inputs["sequence"])
+        frames = [sequence.frame_ids[frame] for frame in crops["frame_index"]]
+        stored = sequence.camera(camera)
+        return _Crops(model, motion, crops, frames, (stored.width, stored.height))
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, i: int) -> Crop:
+        return next(self._posed([range(len(self))[i]]))
+
+    def __iter__(self) -> Iterator[Crop]:
+        return self._posed(range(len(self)))
+
+    def _posed(self, chosen: Iterable[int]) -> Iterator[Crop]:
+        faces = self.model.faces[~self.model.interior]
+        scale, (wide, tall) = float(self.crops["scale"]), self.size
+        across, down = wide / round(scale * wide), tall / round(scale * tall)
+        for i, vertices, pinhole in posed_in_crops(self.model, self.motion, self.crops, chosen):
+            x0, y0, width, height = self.crops["rect"][i] * (across, down, across, down)
+            box = (x0, y0, x0 + width, y0 + height)
+            rgb, alpha = self.crops["rgb"][i], self.crops["alpha"][i]
+            yield Crop(rgb, alpha, vertices, faces, pinhole, self.frames[i], box, self.size)
 
 
 def _given(inputs: Mapping[str, Path], crops: Mapping[str, np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -7,13 +7,17 @@ import torch
 from soar.errors import ConfigError
 from soar.perception.normals import encode, normal_provider, sign_test
 from tests.conftest import conf
-from tests.raster.scenes import VIEW, raster, sphere
+from tests.perception import normal_scenes
+from tests.raster.scenes import VIEW, sphere
+
+
+def maps(vertices, faces, node=None):
+    crop = normal_scenes.crop(vertices=vertices, faces=faces)
+    return normal_provider(node or conf("normals", "body"), normal_scenes.context([crop])).maps(crop)
 
 
 def sphere_maps():
-    vertices, faces = sphere()
-    provider = normal_provider(conf("normals", "body"), raster(), 1)
-    return provider.maps(np.zeros((80, 96, 3), np.uint8), np.zeros((80, 96), np.uint8), vertices, faces, VIEW)
+    return maps(*sphere())
 
 
 def test_maps_are_the_surfaces_normals():
@@ -50,9 +54,9 @@ def test_sign_test_accepts_this_convention_only():
 
 def test_unknown_provider_is_named():
     with pytest.raises(ConfigError, match="provider"):
-        normal_provider({"provider": "icon"}, raster(), 1)
+        normal_provider({"provider": "pifu"}, normal_scenes.context([]))
     with pytest.raises(ConfigError, match="detail"):
-        normal_provider({"provider": "body", "detail": 1}, raster(), 1)
+        normal_provider({"provider": "body", "detail": 1}, normal_scenes.context([]))
 
 
 def test_body_turned_away_keeps_the_convention():
@@ -62,6 +66,4 @@ def test_body_turned_away_keeps_the_convention():
     turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(4)))[0]
     turn = turn * torch.det(turn)
     shaped = (vertices - centre) * torch.tensor([1.0, 0.4, 0.6]) @ turn.T + centre
-    provider = normal_provider(conf("normals", "body"), raster(), 1)
-    empty = np.zeros((80, 96, 3), np.uint8), np.zeros((80, 96), np.uint8)
-    assert sign_test(*provider.maps(*empty, shaped, faces, VIEW)).passed
+    assert sign_test(*maps(shaped, faces)).passed

@@ -8,23 +8,41 @@ import numpy as np
 import pytest
 import torch
 
-from soar.artifacts import read_npz
+from soar.artifacts import read_json, read_npz, write_json, write_npz
 from soar.body.motion import BodyMotion
 from soar.health import Health
 from soar.stages import Job, normals
 from tests.conftest import conf
 from tests.report import toy
 
+SCALE, RECT = 0.5, (5, 3, 64, 64)
+"""Working resolution, and the toy's crops in whole frames at it, which are 80 x 70."""
 
-def run(folder: Path, camera: str) -> tuple[dict[str, np.ndarray], Health]:
-    inputs = {
+
+def write_sequence(folder: Path) -> None:
+    """The toy sequence, its crops being windows of larger frames."""
+    toy.write_sequence(folder)
+    record = read_json(folder / "sequence.json")
+    for camera in record["cameras"]:
+        camera["width"], camera["height"] = 160, 140
+        path = folder / "crops" / f"{camera['name']}.npz"
+        crops = read_npz(path)
+        write_npz(path, crops | {"scale": np.float64(SCALE), "rect": np.tile(np.int32(RECT), (len(crops["rgb"]), 1))})
+    write_json(folder / "sequence.json", record)
+
+
+def run(
+    folder: Path, camera: str, node: dict | None = None, brought: dict[str, Path] | None = None
+) -> tuple[dict[str, np.ndarray], Health]:
+    """The stage with the configuration ``node``, body normals by default."""
+    inputs = (brought or {}) | {
         "sequence": folder / "sequence.json",
         "body_model": folder / "body_model.npz",
         "body": folder / "body.npz",
         "crops": folder / "crops" / f"{camera}.npz",
     }
     outputs = {n: folder / "out" / f for n, f in (("normals", "n.npz"), ("health", "h.json"), ("evidence", "e.jpg"))}
-    cfg = {"normals": conf("normals", "body"), "raster": conf("raster", "default")}
+    cfg = {"normals": node or conf("normals", "body"), "raster": conf("raster", "default")}
     normals.run(inputs, outputs, cfg, Job("toy", camera, 0, 1, folder / "scratch"))
     assert outputs["evidence"].stat().st_size > 1000
     return read_npz(outputs["normals"]), Health.read(outputs["health"])
@@ -32,7 +50,7 @@ def run(folder: Path, camera: str) -> tuple[dict[str, np.ndarray], Health]:
 
 @pytest.mark.parametrize("camera", ["front", "back"])
 def test_maps_of_every_crop(tmp_path: Path, camera: str) -> None:
-    toy.write_sequence(tmp_path)
+    write_sequence(tmp_path)
     maps, health = run(tmp_path, camera)
     crops = read_npz(tmp_path / "crops" / f"{camera}.npz")
     for side, sign in (("front", -1), ("back", 1)):
@@ -48,7 +66,7 @@ def test_maps_of_every_crop(tmp_path: Path, camera: str) -> None:
 
 
 def test_a_body_out_of_view_is_reported(tmp_path: Path) -> None:
-    toy.write_sequence(tmp_path)
+    write_sequence(tmp_path)
     motion = BodyMotion.read(tmp_path / "body.npz")
     moved = motion.translation + torch.tensor([50.0, 0.0, 50.0])
     BodyMotion(motion.betas, motion.pose, moved, motion.keypoint_offsets).write(tmp_path / "body.npz")
