@@ -225,7 +225,9 @@ def _read_image(path: Path) -> np.ndarray:
     try:
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     except cv2.error as error:  # a header that claims more pixels than anyone has
-        raise InputError(f"{path} cannot be decoded as an image", got=str(error).strip()) from error
+        raise InputError(
+            f"{path} cannot be decoded as an image", got=str(error).strip(), cure="export it again"
+        ) from error
     if image is None:
         raise InputError(f"{path} cannot be decoded as an image", cure="check that the file is complete")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)

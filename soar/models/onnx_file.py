@@ -27,7 +27,7 @@ DOMAINS = frozenset({"", "ai.onnx", "ai.onnx.ml", "com.microsoft"})
 _PACKED = {"INT2": 2, "UINT2": 2, "INT4": 4, "UINT4": 4, "FLOAT4E2M1": 4, "FLOAT6E2M3": 6, "FLOAT6E3M2": 6}
 """Bits of the types that share bytes."""
 
-_CURE = "do not use this file; export the network again, or fetch it where it was published"
+_CURE = "delete the file; run `python -m soar models fetch` if it is one of ours, else export or fetch it again"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,10 +101,12 @@ def _parsed(path: Path) -> onnx.ModelProto:
     try:
         model = onnx.ModelProto.FromString(path.read_bytes())
     except DecodeError as error:
-        raise ModelFileError(f"{path} is no ONNX network, or a truncated one: {error}", cure=_CURE) from error
+        raise ModelFileError(f"{path} is not a usable ONNX network, or a truncated one: {error}", cure=_CURE) from error
     # A protocol buffer has no mark of its kind: other bytes may parse, into nothing.
     if not (model.ir_version and model.opset_import and model.graph.node and model.graph.output):
-        raise ModelFileError(f"{path} is no ONNX network", expected="a graph with operators and outputs", cure=_CURE)
+        raise ModelFileError(
+            f"{path} is not a usable ONNX network", expected="a graph with operators and outputs", cure=_CURE
+        )
     return model
 
 

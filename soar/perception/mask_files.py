@@ -184,7 +184,10 @@ class MaskFiles:
         white = self._settings.white or whole
         if plane.max() > 1.01 * white:
             raise InputError(
-                f"{name} is brighter than white", expected=f"at most {white:g} (masks.white)", got=f"{plane.max():g}"
+                f"{name} is brighter than white",
+                expected=f"at most {white:g} (masks.white)",
+                got=f"{plane.max():g}",
+                cure="set masks.white to the value of white in the files, or null for the largest that they can hold",
             )
         return np.minimum(plane / white, 1)
 

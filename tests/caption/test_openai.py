@@ -145,7 +145,7 @@ def test_how_long_it_is_told_to_wait(value: str | None, least: float, most: floa
 def test_it_does_not_wait_longer_than_it_may(ask: Ask) -> None:
     started = time.monotonic()
     ask.fails(refuses(429, "slow down", Retry_After="3600"), says="refuses", got="asks to wait 3600 s")
-    assert time.monotonic() - started < 1
+    assert time.monotonic() - started < 3  # not read_s
     ask.fails(refuses(429, "none left", "insufficient_quota"), says="refuses", got="none left")
     assert len(ask.server.asked) == 1
 
@@ -159,7 +159,7 @@ def test_a_slow_one(ask: Ask, how: str) -> None:
     started = time.monotonic()
     limits = {"requests": 9, "read_s": 5.0, "deadline_s": 0.5}
     ask.fails(how, says="does not answer in time", service=limits)
-    assert time.monotonic() - started < 1
+    assert time.monotonic() - started < 3  # not read_s
 
 
 def test_one_that_is_down(ask: Ask) -> None:

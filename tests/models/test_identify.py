@@ -208,7 +208,7 @@ def test_paths_that_are_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[st
     for content, name in ((b"", "n.onnx"), (b"no network", "m.onnx"), (b"\x80\x04garbage", "a.pkl"), (b"PK", "b.npz")):
         (tmp_path / name).write_bytes(content)
         assert main(["models", "check", str(tmp_path / name)]) == 2
-    assert "no ONNX network" in capsys.readouterr().err
+    assert "not a usable ONNX network" in capsys.readouterr().err
     (tmp_path / "notes.txt").write_text("hello")
     (tmp_path / "empty").mkdir()
     for path in (tmp_path / "notes.txt", tmp_path / "empty", tmp_path / "nowhere"):

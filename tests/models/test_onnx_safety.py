@@ -207,7 +207,7 @@ def _cut(content: bytes) -> bytes:
 def test_other_bytes_are_no_network(folder: Path, spoilt: Callable[[bytes], bytes]) -> None:
     path = folder / "a.onnx"
     path.write_bytes(spoilt(network().SerializeToString()))
-    with pytest.raises(ModelFileError, match="no ONNX network"):
+    with pytest.raises(ModelFileError, match="not a usable ONNX network"):
         session(path, 1)
 
 

@@ -112,7 +112,7 @@ def test_a_killed_run_ends_with_the_same_bits(
     seen.clear()
     monkeypatch.setattr(module, "image_terms", lambda *a: (seen.append(1), terms(*a))[1])
     again, continued = run(views, tmp_path / "killed.pt", attributes)
-    assert len(seen) == SETTINGS.steps - 16
+    assert len(seen) == SETTINGS.steps - 20
     assert same(whole, again)
     assert continued == curves
 
