@@ -161,9 +161,9 @@ class Objective:
         self.total = float((factor * (seen.confidence > 0)).sum().clip(1e-9))
         self.points = like.new_tensor(seen.points)
         self.unit = like.new_tensor(seen.box_height() / 100)
-        self.world = like.new_tensor(seen.world)
+        self.world = like.new_tensor(np.nan_to_num(seen.world))
         self.valid = model.keypoint_valid[: len(BODY)]
-        self.world_weight = self.weight[:, :, : len(BODY)]
+        self.world_weight = self.weight[:, :, : len(BODY)] * like.new_tensor(np.isfinite(seen.world).all(-1))
         self.height = height(model)
         self.pairs: Pairs | None = None
 

@@ -55,12 +55,16 @@ class Poses:
 
 
 def points_from_world(camera: Camera, seen: Observations) -> np.ndarray:
-    """Metric landmarks of the first camera placed in space: (T, 137, 3) metres in the world; NaN beyond BODY_25.
+    """Metric points of the first camera placed in space: (T, 137, 3) metres in the world; NaN beyond BODY_25.
 
     Each frame's translation is the linear least-squares solution of ``x (Z + tz) = X + tx`` over the confident points.
+
+    Raises:
+        SubjectError: no frame has metric points of what was seen.
     """
     body = slice(0, len(BODY))
-    local, confidence = seen.world[0], seen.confidence[0, :, body]
+    known = np.isfinite(seen.world[0]).all(-1)
+    local, confidence = np.nan_to_num(seen.world[0]), np.where(known, seen.confidence[0, :, body], 0)
     rays = (np.concatenate([seen.points[0, :, body], np.ones((*confidence.shape, 1))], -1)) @ np.linalg.inv(camera.K).T
     # Two rows per point: [1 0 -x] t = x Z - X and [0 1 -y] t = y Z - Y, weighted by confidence.
     A = np.zeros((*confidence.shape, 2, 3))
@@ -71,12 +75,18 @@ def points_from_world(camera: Camera, seen: Observations) -> np.ndarray:
     AtA = np.einsum("tkai,tkaj->tij", w * A, A)
     Atb = np.einsum("tkai,tka->ti", w * A, b)
     solvable = (confidence > 0).sum(1) >= 4
+    if not solvable.any():
+        raise SubjectError(
+            f"camera {camera.name} has no metric landmarks to start a fit to one camera from",
+            expected="at least one frame with 4 keypoints of the body whose metric landmarks are known",
+            got=f"{len(seen)} frames, {int(known.any(1).sum())} of them with metric landmarks",
+            cure="look at the pictures of the keypoint stage; more calibrated cameras need no metric landmarks",
+        )
     out = np.full((len(seen), COUNT, 3), np.nan)
-    if solvable.any():
-        t = np.linalg.solve(AtA[solvable], Atb[solvable][..., None])[..., 0]
-        placed = local[solvable] + t[:, None]
-        world = (placed - camera.t) @ camera.R
-        out[solvable, body] = np.where(confidence[solvable][..., None] > 0, world, np.nan)
+    t = np.linalg.solve(AtA[solvable], Atb[solvable][..., None])[..., 0]
+    placed = local[solvable] + t[:, None]
+    world = (placed - camera.t) @ camera.R
+    out[solvable, body] = np.where(confidence[solvable][..., None] > 0, world, np.nan)
     return out
 
 

@@ -20,8 +20,8 @@ class Observations:
         cameras: C calibrated cameras of undistorted frames.
         points: (C, T, 137, 2) pixels.
         confidence: (C, T, 137) in [0, 1]; 0 where nothing was seen.
-        world: (C, T, 33, 3) BlazePose metric landmarks about the middle of the hips, metres, axes of an upright
-            image: x right, y down, z away.
+        world: (C, T, 25, 3) metric points of BODY_25 about the middle of the hips, metres, axes of an upright image: x
+            right, y down, z away; NaN where there are none.
     """
 
     cameras: tuple[Camera, ...]

@@ -31,6 +31,11 @@ class Observation:
         return self.pose.presence
 
     @property
+    def points(self) -> np.ndarray:
+        """(33, 2) image landmarks of the direct pass, pixels."""
+        return self.pose.points
+
+    @property
     def next_roi(self) -> Roi:
         """Where to look in a neighbouring frame, turned with the whole lean of the body."""
         return self.pose.next_roi

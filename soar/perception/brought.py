@@ -84,7 +84,7 @@ class BroughtNetwork:
             f"{self.path} is not the network that the configuration describes" + (f": {reason}" if reason else ""),
             expected=expected,
             got=self.signature,
-            cure="name the right file, or describe this one in conf/masks",
+            cure="name the right file, or describe this one in conf/",
         )
 
     @property

@@ -1,4 +1,4 @@
-"""The skeleton drawn over a frame, coloured by side, so that a mirrored limb or swapped sides are seen at a glance."""
+"""Pictures of what was found: the skeleton coloured by side, so that swapped sides are seen at a glance, and people."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import cv2
 import numpy as np
 
 from soar.body.openpose import FACE, INDEX, LEFT_HAND, RIGHT_HAND
+from soar.perception.roi import Roi
 
 LEFT_COLOUR, RIGHT_COLOUR, MIDDLE_COLOUR = (40, 150, 255), (255, 120, 30), (250, 240, 90)  # blue, orange, yellow
+PERSON_COLOUR = (230, 40, 60)  # red
 
 _BODY = (
     "nose neck", "neck mid_hip",
@@ -61,3 +63,27 @@ def draw_skeleton(image: np.ndarray, keypoints: np.ndarray, width: float) -> np.
             cv2.circle(opacity, points[i], radius, float(keypoints[i, 2]), -1)
     blend = opacity[..., None]
     return np.round(blend * canvas + (1 - blend) * image).astype(np.uint8)
+
+
+def draw_person(image: np.ndarray, roi: Roi, width: float, text: str, broken: bool = False) -> np.ndarray:
+    """Draw a box of a person's size in their region over a frame, a cross at its centre and a line of text beside it.
+
+    Args:
+        image: (H, W, 3) uint8 RGB.
+        roi: the region.
+        width: of a line, pixels; letters are eight times as high.
+        text: may be empty.
+        broken: draw the corners of the box only, as of somebody who is not seen.
+    """
+    canvas, thick = image.copy(), max(1, round(width))
+    ends = np.array([0.0, 0.15, 0.85, 1.0] if broken else [0.0, 0.5, 0.5, 1.0])
+    corners = np.array([[0.3, 0.1], [0.7, 0.1], [0.7, 0.9], [0.3, 0.9]])
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        points = roi.to_image(a + ends[:, None] * (b - a), 1.0).round().astype(int)
+        for start, end in (points[:2], points[2:]):
+            cv2.line(canvas, start.tolist(), end.tolist(), PERSON_COLOUR, thick, cv2.LINE_AA)
+    x, y = round(roi.cx), round(roi.cy)
+    cv2.drawMarker(canvas, (x, y), PERSON_COLOUR, cv2.MARKER_CROSS, 6 * thick, thick, cv2.LINE_AA)
+    place = (x + 4 * thick, y - 4 * thick)
+    cv2.putText(canvas, text, place, PERSON_COLOUR, cv2.FontFace("sans"), 8 * thick, 700)
+    return canvas

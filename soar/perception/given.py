@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from soar.body import measure
@@ -9,9 +11,8 @@ from soar.body.motion import BodyMotion
 from soar.body.openpose import BODY, INDEX
 from soar.body.record import BodyModel
 from soar.geometry.cameras import Camera
-from soar.perception.detector import pose_roi
 from soar.perception.keypoints import Keypoints, TrackReport
-from soar.perception.pose import LANDMARKS
+from soar.perception.lift import OWN, body_region, landmarks
 
 
 def projected(model: BodyModel, motion: BodyMotion, camera: Camera) -> tuple[Keypoints, TrackReport]:
@@ -26,11 +27,11 @@ def projected(model: BodyModel, motion: BodyMotion, camera: Camera) -> tuple[Key
     inside = (local[..., 2] > 0) & ((pixels >= 0) & (pixels <= (camera.width, camera.height))).all(-1)
     keypoints = np.where(inside[..., None], np.concatenate([pixels, np.ones_like(pixels[..., :1])], -1), 0)
     count = len(points)
-    shown = inside[:, : len(BODY)].any(1)
+    shown = np.any(inside[:, : len(BODY)], axis=1)
     record = Keypoints(
         keypoints.astype(np.float32),
         _landmarks(local[:, : len(BODY)]).astype(np.float32),
-        np.stack([_region(p) for p in pixels[:, : len(BODY)]]) * shown[:, None].astype(np.float32),
+        np.stack([_region(p) for p in pixels[:, : len(BODY)]]) * shown[:, None],
         shown.astype(np.float32),
         np.zeros((count, len(BODY)), np.float32),
     )
@@ -41,17 +42,11 @@ def projected(model: BodyModel, motion: BodyMotion, camera: Camera) -> tuple[Key
 def _landmarks(body: np.ndarray) -> np.ndarray:
     """(T, 33, 3) metric landmarks of body keypoints (T, 25, 3) in the camera's axes, about the middle of the hips."""
     centred = np.nan_to_num(body - body[:, INDEX["mid_hip"], None])
-    out = np.zeros((len(body), len(LANDMARKS), 3))
-    for i, name in enumerate(LANDMARKS):
-        source = name.replace("foot_index", "big_toe")
-        if source in BODY:
-            out[:, i] = centred[:, INDEX[source]]
-    return out
+    return landmarks(centred) * OWN[:, None]
 
 
 def _region(body: np.ndarray) -> np.ndarray:
-    """(4,) centre, side and rotation of the region round body keypoints (25, 2), as the pose network is given it."""
-    hips, neck = body[INDEX["mid_hip"]], body[INDEX["neck"]]
-    radius = np.nanmax(np.linalg.norm(body - hips, axis=1))
-    roi = pose_roi(hips, hips + radius * (neck - hips) / np.linalg.norm(neck - hips))
-    return np.array([roi.cx, roi.cy, roi.side, roi.rotation], np.float32)
+    """(4,) centre, side and rotation of the region round body keypoints (25, 2), NaN where the body lacks them."""
+    known = np.isfinite(body).all(1)
+    roi = body_region(np.column_stack([np.nan_to_num(body), known]))
+    return np.zeros(4, np.float32) if roi is None else np.array(dataclasses.astuple(roi), np.float32)

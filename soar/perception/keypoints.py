@@ -46,7 +46,9 @@ class Keypoints:
         roi: (T, 4) float32 centre x, y and side in pixels, rotation in radians, of the square
             around the body, turned with its lean; side 0 where not found.
         score: (T,) float32 presence in [0, 1], also of frames in which it was too low.
-        disagreement: (T, 25) float32 distance between the direct and the mirrored pass, pixels.
+        disagreement: (T, 25) float32 distance between the direct and the mirrored pass, pixels; zero without a second.
+        others: (T, P, 5) float32 people near the subject: their regions as ``roi``, and 1 where they were seen, 0 where
+            they are hidden and expected. At most P in a frame; side 0 for the rest.
     """
 
     keypoints: np.ndarray
@@ -54,11 +56,21 @@ class Keypoints:
     roi: np.ndarray
     score: np.ndarray
     disagreement: np.ndarray
+    others: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0, 5), np.float32))
+
+    def __post_init__(self) -> None:
+        if not self.others.size:
+            object.__setattr__(self, "others", np.zeros((len(self.score), 0, 5), np.float32))
 
     @property
     def present(self) -> np.ndarray:
         """(T,) bool, whether the subject was found."""
         return self.roi[:, 2] > 0
+
+    @property
+    def company(self) -> np.ndarray:
+        """(T,) bool, whether somebody else was near the subject."""
+        return np.any(self.others[..., 2] > 0, axis=1)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write ``keypoints/{camera}.npz``."""

@@ -47,12 +47,19 @@ class ConfidenceSettings:
     toe: float
     jaw: float
     disagreement: float
+    shared: float
 
 
 def body_points(points: np.ndarray) -> np.ndarray:
     """Landmarks (..., 33, D) to BODY_25 (..., 25, D): a landmark or the middle of two; zero where there is none."""
     padded = np.concatenate([points, np.zeros_like(points[..., :1, :])], axis=-2)
     return padded[..., _PARENTS, :].mean(-2)
+
+
+def metric_body(world: np.ndarray) -> np.ndarray:
+    """Metric landmarks (T, 33, 3), zero where there are none, to BODY_25 (T, 25, 3); NaN where there are none."""
+    known = np.append((world != 0).any(-1), np.zeros((len(world), 1), bool), axis=-1)
+    return np.where(known[:, _PARENTS].all(-1)[..., None], body_points(world), np.nan)
 
 
 def body_confidence(visibility: np.ndarray, toe: float) -> np.ndarray:

@@ -16,34 +16,30 @@ from typing import Literal
 
 import numpy as np
 
-from soar.errors import SubjectError
-from soar.perception import subject
+from soar.body import openpose
+from soar.perception import mapping
 from soar.perception.assemble import Observation, assemble
 from soar.perception.detector import Person, PersonDetector
 from soar.perception.face import FaceNetwork
+from soar.perception.following import FollowSettings, follow
 from soar.perception.hands import HandNetwork
 from soar.perception.keypoints import Choice, Frames, Keypoints, TrackReport
 from soar.perception.mapping import ConfidenceSettings
-from soar.perception.pose import PoseNetwork
+from soar.perception.pose import INDEX, LANDMARKS, Pose, PoseNetwork
 from soar.perception.roi import Roi
-from soar.perception.subject import SubjectSettings
 from soar.perception.swaps import SwapSettings
-from soar.perception.tracking import TrackingSettings, track
+from soar.perception.tracking import Track
 from soar.progress import track as progress
 
 
 @dataclasses.dataclass(frozen=True)
-class MediaPipeSettings:
+class MediaPipeSettings(FollowSettings):
     """Settings of :class:`MediaPipeKeypoints`; see ``conf/keypoints/mediapipe.yaml``."""
 
     provider: Literal["mediapipe"]
     model: Literal["full", "heavy"]
     min_detection: float
-    min_frames: int
-    min_tracked: float
     mirrored_lean: float
-    subject: SubjectSettings
-    tracking: TrackingSettings
     swaps: SwapSettings
     confidence: ConfidenceSettings
 
@@ -69,7 +65,7 @@ class MediaPipeKeypoints:
 
     def __call__(self, frames: Frames, choice: Choice | None) -> tuple[Keypoints, TrackReport]:
         """See :meth:`soar.perception.keypoints.KeypointProvider.__call__`."""
-        return estimate(frames, choice, self._detector, self._observe, self._settings)
+        return estimate(frames, choice, self._detector, self._observe, self._pose, self._settings)
 
     def _observe(self, image: np.ndarray, roi: Roi) -> Observation:
         pose = self._pose(image, roi)
@@ -87,6 +83,7 @@ def estimate(
     choice: Choice | None,
     detect: Callable[[np.ndarray], list[Person]],
     observe: Callable[[np.ndarray, Roi], Observation],
+    glance: Callable[[np.ndarray, Roi], Pose],
     settings: MediaPipeSettings,
 ) -> tuple[Keypoints, TrackReport]:
     """Find, choose and follow the subject with the given networks.
@@ -96,46 +93,49 @@ def estimate(
         choice: the user's word on who the subject is, if any.
         detect: all people of a frame (H, W, 3).
         observe: all estimates of a frame in a region.
+        glance: the pose alone, for the people near the subject.
         settings: see the conf file.
 
     Raises:
         SubjectError: nobody, several equally likely people, or too little of one person in view.
     """
-    count = len(frames)
-    if count < settings.min_frames:
-        raise SubjectError(
-            "the clip is too short",
-            expected=f"at least {settings.min_frames} frames",
-            got=str(count),
-            cure="give a longer clip or a smaller dataset frame step",
-        )
     height, width = frames[0].shape[:2]
-    detections = [detect(frames[t]) for t in progress(range(count), "finding people")]
-    start = (
-        subject.most_prominent(detections, width, height, settings.subject)
-        if choice is None
-        else subject.chosen(detections, choice)
-    )
-    followed = track(
-        detections,
-        start,
+    followed = follow(
+        [detect(frames[t]) for t in progress(range(len(frames)), "finding people")],
+        (width, height),
+        choice,
         lambda t, roi: observe(frames[t], roi),
-        settings.tracking,
+        lambda t, roi: glance(frames[t], roi),
+        settings,
         lambda order: progress(order, "keypoints"),
     )
-    found = sum(o is not None for o in followed.observations)
-    if found < max(settings.min_frames, settings.min_tracked * count):
-        raise SubjectError(
-            "the subject was found in too few frames",
-            expected=f"at least {settings.min_tracked:.0%} of {count} frames, and {settings.min_frames} frames",
-            got=f"{found} frames, starting from frame {start.frame}",
-            cure=f"cut the clip to where the person is in view, or {subject.CHOOSE}",
-        )
-    keypoints, swapped = assemble(followed.observations, followed.presence, settings.swaps, settings.confidence)
-    remarks = []
-    if start.rivalry >= settings.subject.rival_remark:
-        remarks.append(
-            f"Another person is {start.rivalry:.0%} as prominent as the subject. Look whether the right one is"
-            f" followed; otherwise {subject.CHOOSE}."
-        )
-    return keypoints, TrackReport(start.frame, start.rivalry, followed.reacquired, swapped, tuple(remarks))
+    found = followed.track
+    keypoints, swapped = assemble(found.observations, found.presence, settings.swaps, settings.confidence)
+    trust = own_keypoints(found, settings.confidence.shared)
+    keypoints.keypoints[..., 2] *= trust
+    report = TrackReport(followed.start.frame, followed.start.rivalry, found.reacquired, swapped, followed.remarks)
+    return dataclasses.replace(keypoints, others=followed.others), report
+
+
+def own_keypoints(found: Track[Observation, Pose], shared: float) -> np.ndarray:
+    """(T, 137) of which keypoints nobody else near the subject has a landmark in the same place: 1, the others 0.
+
+    Args:
+        found: the subject and the people near them.
+        shared: distance below which two people's landmarks are in one place, in sides of the subject's region.
+    """
+    own = np.ones((len(found.observations), len(LANDMARKS)))
+    for t, (seen, others) in enumerate(zip(found.observations, found.others, strict=True)):
+        for other in others:
+            if seen is not None and other.estimate is not None:
+                apart = np.linalg.norm(seen.pose.points - other.estimate.points, axis=-1)
+                own[t, apart < shared * seen.pose.roi.side] = 0
+    trust = np.ones((len(own), openpose.COUNT))
+    trust[:, : len(openpose.BODY)] = mapping.body_confidence(own, 1.0)
+    for part, landmark in (
+        (openpose.LEFT_HAND, "left_wrist"),
+        (openpose.RIGHT_HAND, "right_wrist"),
+        (openpose.FACE, "nose"),
+    ):
+        trust[:, part] = own[:, INDEX[landmark], None]
+    return trust

@@ -14,6 +14,20 @@ from soar.perception.roi import Roi
 CHOOSE = "choose the person with dataset.subject.point=[x,y] or dataset.subject.box=[x0,y0,x1,y1]"
 
 
+class Undecided(SubjectError):
+    """Who the subject is, is in doubt; a picture of the people in one frame lets the user decide.
+
+    Args:
+        what, expected, got, cure: see :class:`~soar.errors.SoarError`.
+        frame: index of the frame.
+        people: regions of those in question.
+    """
+
+    def __init__(self, what: str, *, expected: str, got: str, cure: str, frame: int, people: Sequence[Roi]) -> None:
+        super().__init__(what, expected=expected, got=got, cure=cure)
+        self.frame, self.people = frame, tuple(people)
+
+
 @dataclasses.dataclass(frozen=True)
 class SubjectSettings:
     """How the subject is chosen when several people are in view. All shares in [0, 1]."""
@@ -68,7 +82,8 @@ def most_prominent(detections: Sequence[Sequence[Person]], width: int, height: i
         settings: when several people count as equally likely.
 
     Raises:
-        SubjectError: nobody was found in any frame, or in most frames a second person is nearly as prominent.
+        SubjectError: nobody was found in any frame.
+        Undecided: in most frames a second person is nearly as prominent.
     """
     ranked = [
         sorted(
@@ -94,12 +109,14 @@ def most_prominent(detections: Sequence[Sequence[Person]], width: int, height: i
         # The message shows a frame with the rival in it, so that the user can copy a point.
         frame, people = next((f, p) for f, p in seen if len(p) > 1 and p[1][0] / p[0][0] >= settings.rival_error)
         points = ", ".join(f"[{p.roi.cx:.0f},{p.roi.cy:.0f}]" for _, p in people[:4])
-        raise SubjectError(
+        raise Undecided(
             "several people are equally likely to be the subject",
             expected="one person clearly larger or more central than the others",
             got=f"in {rivals} of {len(seen)} frames a second person is {settings.rival_error:.0%} as prominent;"
             f" frame {frame} shows people at {points}",
             cure=CHOOSE,
+            frame=frame,
+            people=[p.roi for _, p in people],
         )
     return Start(frame, people[0][1].roi, ratios[len(ratios) // 2])
 
@@ -111,7 +128,8 @@ def chosen(detections: Sequence[Sequence[Person]], choice: Choice) -> Start:
     it most; where the detector saw nobody, the box itself is the region.
 
     Raises:
-        SubjectError: the frame does not exist, or nobody was detected at the point.
+        SubjectError: the frame does not exist.
+        Undecided: nobody was detected at the point.
     """
     if not 0 <= choice.frame < len(detections):
         raise SubjectError(
@@ -132,10 +150,12 @@ def chosen(detections: Sequence[Sequence[Person]], choice: Choice) -> Start:
     hit = [p.roi for p in people if p.roi.contains(x, y)]
     if not hit:
         found = ", ".join(f"[{p.roi.cx:.0f},{p.roi.cy:.0f}]" for p in people) or "nobody"
-        raise SubjectError(
+        raise Undecided(
             f"nobody was found at point [{x:g},{y:g}] of frame {choice.frame}",
             expected="a point on a person the detector sees",
             got=f"people at {found}",
             cure="choose another point or frame, or give dataset.subject.box=[x0,y0,x1,y1]",
+            frame=choice.frame,
+            people=[p.roi for p in people],
         )
     return Start(choice.frame, min(hit, key=lambda r: math.hypot(r.cx - x, r.cy - y) / r.side), 0.0)

@@ -20,7 +20,8 @@ import itertools
 
 import numpy as np
 
-from soar.perception.pose import INDEX, MIRROR
+from soar.body import openpose
+from soar.perception.pose import INDEX, LANDMARKS, MIRROR
 
 SETS = {"head": slice(1, 11), "arms": slice(11, 23), "legs": slice(23, 33)}  # landmark ranges; 0 is the nose
 STATES = np.array(list(itertools.product((False, True), repeat=len(SETS))))  # (8, 3), the first exchanges nothing
@@ -51,6 +52,19 @@ def _orders() -> np.ndarray:
     return result
 
 
+def _keypoint_sets() -> np.ndarray:
+    """(137,) index of the set that each keypoint belongs to, -1 for those in the middle."""
+    result = np.full(openpose.COUNT, -1)
+    for i, members in enumerate(SETS.values()):
+        names = {LANDMARKS[m].replace("foot_index", "big_toe") for m in range(members.start, members.stop)}
+        result[[openpose.INDEX[name] for name in names if name in openpose.BODY]] = i
+    result[[openpose.INDEX[f"{side}_small_toe"] for side in ("left", "right")]] = list(SETS).index("legs")
+    result[openpose.LEFT_HAND] = result[openpose.RIGHT_HAND] = list(SETS).index("arms")
+    result[openpose.FACE] = list(SETS).index("head")
+    return result
+
+
+_KEYPOINT_SET = _keypoint_sets()
 ORDERS = _orders()  # (8, 33) permutation of the landmarks for each state
 
 
@@ -75,6 +89,13 @@ def relabelled(points: np.ndarray, sets: np.ndarray) -> np.ndarray:
     """Exchange the sides of the given ``sets`` (T, 3) bool in landmarks (T, 33, ...)."""
     states = sets @ (1 << np.arange(len(SETS))[::-1])
     return points[np.arange(len(points))[:, None], ORDERS[states]]
+
+
+def exchange(keypoints: np.ndarray, sets: np.ndarray) -> np.ndarray:
+    """Exchange the sides of the given ``sets`` (T, 3) bool in keypoints (T, 137, ...), hands and face included."""
+    member = sets[:, _KEYPOINT_SET] & (_KEYPOINT_SET >= 0)
+    order = np.where(member, openpose.mirror(), np.arange(openpose.COUNT))
+    return keypoints[np.arange(len(keypoints))[:, None], order]
 
 
 def viterbi(unary: np.ndarray, pairwise: np.ndarray) -> np.ndarray:

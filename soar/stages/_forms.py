@@ -21,7 +21,18 @@ from soar.importers.registry import FORMATS, read_parameters
 from soar.models import records
 from soar.models.identify import FOLDER, Form, network, networks, overrides, ports
 from soar.networks import normal_inputs, prior_inputs
-from soar.perception import icon, icon_export, mask_files, matting, normal_folder, sam, sapiens
+from soar.perception import (
+    icon,
+    icon_export,
+    mask_files,
+    matting,
+    normal_folder,
+    openpose_json,
+    sam,
+    sapiens,
+    simcc,
+    yolox,
+)
 from soar.perception.brought import Axes, BroughtNetwork
 from soar.priors.imagedream.checkpoint import Checkpoint
 from soar.priors.imagedream.onnx import TOKENS, signatures
@@ -46,6 +57,25 @@ class _Unopened(BroughtNetwork):
 
 def _axes(shape: tuple[int | str | None, ...] | None) -> Axes:
     return tuple(axis if isinstance(axis, int) else None for axis in shape or ())
+
+
+# keypoints
+
+
+def _whole_body(path: Path) -> str:
+    _, height, width = simcc.layout(_Unopened(path))
+    return f"crops of {width} x {height} pixels"
+
+
+def _people_finder(path: Path) -> str:
+    _, _, (height, width) = yolox.layout(_Unopened(path))
+    return f"pictures of {width} x {height} pixels"
+
+
+def _openpose(path: Path) -> str:
+    files = openpose_json.read_folder(path)
+    people = [len(openpose_json.read_people(file)) for file in files.values()]
+    return f"{len(files)} frames, numbered {min(files)} to {max(files)}, with up to {max(people)} people"
 
 
 # masks
@@ -171,6 +201,11 @@ def _installed(path: Path) -> str:
 _WEIGHTS = (".ckpt", ".pt", ".pth")
 
 FORMS: tuple[Form, ...] = (
+    Form("whole-body network with SimCC heads, as RTMW, RTMPose and DWPose",
+         overrides("keypoints=rtmw", "keypoints.network=PATH"), (".onnx",), _whole_body),
+    Form("YOLOX, which finds people",
+         overrides("keypoints=rtmw", "keypoints.network=...", "keypoints.detector=PATH"), (".onnx",), _people_finder),
+    Form("keypoints of OpenPose", overrides("keypoints=openpose", "keypoints.source=PATH"), (FOLDER,), _openpose),
     network("normal network of the bundled kind", overrides("normals.network=PATH"), normal_inputs.SIGNATURE),
     network("normal network of Sapiens", overrides("normals=sapiens", "normals.network=PATH"), sapiens.SIGNATURE),
     networks(

@@ -12,7 +12,7 @@ from soar.datasets.sequence import Sequence, read_calibrated
 from soar.errors import ArtifactError, SubjectError
 from soar.geometry.cameras import Camera
 from soar.perception.keypoints import Keypoints
-from soar.perception.mapping import body_points
+from soar.perception.mapping import metric_body
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +33,7 @@ def observe(inputs: Mapping[str, Path], cameras: Iterable[Camera], min_confidenc
     cameras = tuple(cameras)
     records = [Keypoints.read(inputs["keypoints"] / f"{c.name}.npz") for c in cameras]
     return Observations.gather(
-        cameras, [r.keypoints for r in records], [body_points(r.world) for r in records], min_confidence
+        cameras, [r.keypoints for r in records], [metric_body(r.world) for r in records], min_confidence
     )
 
 

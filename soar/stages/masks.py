@@ -14,11 +14,13 @@ from soar.config import settings
 from soar.datasets.sequence import Sequence
 from soar.errors import ArtifactError
 from soar.health import Health
+from soar.perception.apart import Apart
 from soar.perception.brought import brought_file
 from soar.perception.diagnostics import MaskFigures, area_jitter, mask_figures
 from soar.perception.keypoints import Keypoints
 from soar.perception.mask_files import MaskFiles, MaskFileSettings
 from soar.perception.masks import MaskProvider
+from soar.perception.pose import PoseNetwork
 from soar.perception.registry import mask_provider
 from soar.perception.roi import Roi
 from soar.progress import track
@@ -43,26 +45,35 @@ def run(inputs: Mapping[str, Path], outputs: Mapping[str, Path], cfg: Mapping[st
             cure="delete the file and run snakemake; it is made again",
         )
     found: Iterator[np.ndarray]
+    apart: Apart | None = None
     if "given" in inputs:
         found = (alpha / np.float32(255) for alpha in archive(inputs["given"], len(frames), "alpha"))
     elif cfg["masks"].get("provider") == "files":
         options, source = settings(MaskFileSettings, cfg["masks"], "masks"), brought_file(inputs, "source", "masks")
         found = MaskFiles(options, source, sequence, str(job.camera)).masks(record.keypoints[:, : len(BODY)])
     else:
-        found = _estimated(frames, record, mask_provider(cfg["masks"], inputs, job.threads))
+        if record.company.any():
+            apart = Apart(frames, record, PoseNetwork(inputs["models"] / "pose_landmark_full.onnx", job.threads))
+        found = _estimated(frames, record, mask_provider(cfg["masks"], inputs, job.threads), apart)
     figures: list[MaskFigures] = []
     write_images(outputs["masks"], _measured(track(found, "masks", len(frames)), figures), ".png")
     write_image(outputs["evidence"], _sheet(frames, ImageArchive(outputs["masks"]), sequence.frame_ids))
-    _health(figures, sequence.frame_ids).write(outputs["health"])
+    health = _health(figures, sequence.frame_ids)
+    if apart is not None and not apart.learned:
+        health.remark("Somebody else is beside the subject throughout: masks may hold parts of them.")
+    health.write(outputs["health"])
 
 
-def _estimated(frames: ImageArchive, record: Keypoints, estimate: MaskProvider) -> Iterator[np.ndarray]:
+def _estimated(
+    frames: ImageArchive, record: Keypoints, estimate: MaskProvider, apart: Apart | None
+) -> Iterator[np.ndarray]:
     """Masks (H, W) float32 in [0, 1] one at a time and in order, so that memory does not grow with the clip and a
     provider may go by the frames before; it is not asked about frames without the subject.
     """
     for t, image in enumerate(frames):
         if record.present[t]:
-            yield estimate(image, Roi(*map(float, record.roi[t])), record.keypoints[t, : len(BODY)])
+            alpha = estimate(image, Roi(*map(float, record.roi[t])), record.keypoints[t, : len(BODY)])
+            yield alpha if apart is None else apart(t, image, alpha)
         else:
             yield np.zeros(image.shape[:2], np.float32)
 

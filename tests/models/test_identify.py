@@ -67,6 +67,12 @@ def test_body_parameters_are_told_apart(tmp_path: Path, kind: str) -> None:
 @pytest.mark.parametrize(
     ("name", "signature"),
     [
+        (
+            "whole-body network with SimCC heads, as RTMW, RTMPose and DWPose",
+            Signature({"input": (None, 3, 384, 288)}, {"simcc_x": (None, 133, 576), "simcc_y": (None, 133, 768)}),
+        ),
+        ("YOLOX, which finds people", Signature({"images": (1, 3, 640, 640)}, {"output": (1, 8400, 85)})),
+        ("YOLOX, which finds people", Signature({"x": (1, 3, 416, 416)}, {"dets": (1, None, 5), "labels": (1, None)})),
         ("normal network of the bundled kind", normal_inputs.SIGNATURE),
         ("normal network of Sapiens", sapiens.SIGNATURE),
         ("prior of the bundled kind", prior_inputs.signature(64)),
@@ -161,6 +167,18 @@ def test_folders_of_pictures(tmp_path: Path) -> None:
     assert fits(tmp_path / "footage") == []
 
 
+def test_keypoints_of_openpose(tmp_path: Path) -> None:
+    person = {"pose_keypoints_2d": [10.0, 20.0, 0.9] * 25}
+    for frame, people in enumerate(([person], [], [person, person])):
+        content = json.dumps({"version": 1.3, "people": people})
+        (tmp_path / f"clip_{frame:012d}_keypoints.json").write_text(content)
+    assert fits(tmp_path) == ["keypoints of OpenPose"]
+    assert "3 frames, numbered 0 to 2, with up to 2 people" in report(tmp_path, FORMS)
+    (tmp_path / "clip_000000000001_keypoints.json").write_text('{"people": [{"pose_keypoints_2d": [1, 2, 3]}]}')
+    with pytest.raises(ModelFileError, match=r"not keypoints of OpenPose: .*3 numbers"):
+        report(tmp_path, FORMS)
+
+
 def test_files_of_the_project(tmp_path: Path) -> None:
     for path in DATA.glob("*.onnx"):
         assert "model file of the project's own, which needs no setting" in fits(path)
@@ -179,7 +197,7 @@ def test_every_command_composes() -> None:
             if form.name.startswith("mask network"):
                 chosen = ("masks=u2net",)  # one stands for all: they are described by the same fields
             groups.setdefault(settings[0].split("=")[0].split(".")[0], {})[chosen] = settings
-    assert len(groups) == 4
+    assert len(groups) == 5
     for together in itertools.zip_longest(*(commands.values() for commands in groups.values()), fillvalue=[]):
         settings = [setting.replace("PATH", f"a/{i}.onnx") for i, part in enumerate(together) for setting in part]
         config = json.dumps(composed(tuple(sorted(settings, key=lambda setting: "." in setting.split("=")[0]))))
@@ -230,7 +248,7 @@ def test_nothing_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.chdir(tmp_path)
     for name in ("a.pkl", "a.pt", "a.pth", "a.ckpt"):
-        Path(name).write_bytes(pickle.dumps({"v_template": Bomb()}))
+        Path(name).write_bytes(pickle.dumps({"v_template": Bomb()}, protocol=2))
     torch.save({"state_dict": Bomb()}, "b.pt")
     np.savez("a.npz", v_template=np.array([Bomb()], object))
     (tmp_path / "maps").mkdir()

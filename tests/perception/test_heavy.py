@@ -31,7 +31,13 @@ from tests.models.test_tflite import tiny_tflite
 
 NAME = "pose_landmark_heavy"
 CHOSEN = {"keypoints": {"model": "heavy"}, "masks": {"model": "heavy"}, "models": {"extra": [NAME]}}
-PROVIDERS = [(keypoint_provider, "keypoints"), (mask_provider, "masks")]
+
+
+def _keypoints(node, files, threads):
+    return keypoint_provider(node, files, threads, None, "camera")
+
+
+PROVIDERS = [(_keypoints, "keypoints"), (mask_provider, "masks")]
 
 
 def test_the_configuration_composes_and_fits_the_schemas() -> None:
@@ -53,7 +59,7 @@ def test_every_network_that_can_be_chosen_can_be_fetched(schema: type) -> None:
 @pytest.mark.parametrize(("build", "group"), PROVIDERS)
 def test_a_network_that_does_not_exist_is_refused(build, group: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=f"{group}.model") as caught:
-        build(conf(group, "mediapipe") | {"model": "huge"}, tmp_path, 1)
+        build(conf(group, "mediapipe") | {"model": "huge"}, {"models": tmp_path}, 1)
     assert "'full', 'heavy'" in caught.value.expected
 
 
@@ -62,7 +68,7 @@ def test_a_missing_network_is_named_with_the_command_that_brings_it(build, group
     for file in ("pose_detection.onnx", "pose_landmark_full.onnx"):
         (tmp_path / file).symlink_to(model_file(file))
     with pytest.raises(ModelFileError, match=rf"{NAME}\.onnx is missing") as caught:
-        build(conf(group, "mediapipe") | {"model": "heavy"}, tmp_path, 1)
+        build(conf(group, "mediapipe") | {"model": "heavy"}, {"models": tmp_path}, 1)
     assert f"python -m soar models fetch --with {NAME}" in caught.value.cure
 
 

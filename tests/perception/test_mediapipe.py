@@ -49,8 +49,16 @@ def _observe(image: np.ndarray, roi: Roi, hidden: tuple[int, ...] = ()) -> Obser
     return Observation(pose, pose, np.zeros((21, 3)), np.zeros((21, 3)), None)
 
 
+def _glance(image: np.ndarray, roi: Roi) -> Pose:
+    return _observe(image, roi).pose
+
+
+def _keypoints(node, files, threads):
+    return keypoint_provider(node, files, threads, None, "camera")
+
+
 def test_a_clip_with_one_person():
-    record, report = estimate(_frames(), None, _detect, _observe, OPTIONS)
+    record, report = estimate(_frames(), None, _detect, _observe, _glance, OPTIONS)
     assert record.present.all()
     assert report.reacquired == 0
     assert not report.swapped.any()
@@ -62,13 +70,13 @@ def test_a_clip_with_one_person():
 
 def test_one_frame_is_refused_with_the_number_that_is_needed():
     with pytest.raises(SubjectError, match="too short") as error:
-        estimate(_frames(1), None, _detect, _observe, OPTIONS)
+        estimate(_frames(1), None, _detect, _observe, _glance, OPTIONS)
     assert error.value.expected == f"at least {OPTIONS.min_frames} frames"
 
 
 def test_a_person_seen_too_rarely_is_refused():
     with pytest.raises(SubjectError, match="too few frames") as error:
-        estimate(_frames(), None, _detect, lambda i, r: _observe(i, r, hidden=tuple(range(1, 7))), OPTIONS)
+        estimate(_frames(), None, _detect, lambda i, r: _observe(i, r, hidden=tuple(range(1, 7))), _glance, OPTIONS)
     assert error.value.got.startswith("4 frames")
 
 
@@ -77,26 +85,26 @@ def test_a_prominent_bystander_is_remarked_upon():
         return [*_detect(image), Person(0.9, Roi(120.0, 480.0, 800.0, 0.0))]
 
     options = dataclasses.replace(OPTIONS, subject=dataclasses.replace(OPTIONS.subject, rival_remark=0.3))
-    _, report = estimate(_frames(), None, detect, _observe, options)
+    _, report = estimate(_frames(), None, detect, _observe, _glance, options)
     assert 0.3 < report.rivalry < OPTIONS.subject.rival_error
     assert "dataset.subject.point" in report.remarks[0]
 
 
 def test_the_users_choice_starts_the_track():
-    _, report = estimate(_frames(), Choice(3, (505.0, 480.0), None), _detect, _observe, OPTIONS)
+    _, report = estimate(_frames(), Choice(3, (505.0, 480.0), None), _detect, _observe, _glance, OPTIONS)
     assert report.start == 3
 
 
-@pytest.mark.parametrize("build", [keypoint_provider, mask_provider])
+@pytest.mark.parametrize("build", [_keypoints, mask_provider])
 def test_unknown_provider(build, tmp_path):
     with pytest.raises(ConfigError, match="unknown provider"):
-        build({"provider": "openpose"}, tmp_path, 1)
+        build({"provider": "magic"}, {"models": tmp_path}, 1)
 
 
-@pytest.mark.parametrize(("build", "group"), [(keypoint_provider, "keypoints"), (mask_provider, "masks")])
+@pytest.mark.parametrize(("build", "group"), [(_keypoints, "keypoints"), (mask_provider, "masks")])
 def test_missing_network(build, group, tmp_path):
     with pytest.raises(ModelFileError, match="missing"):
-        build(conf(group, "mediapipe"), tmp_path, 1)
+        build(conf(group, "mediapipe"), {"models": tmp_path}, 1)
 
 
 def test_hand_region_points_along_the_hand():

@@ -58,9 +58,9 @@ def _run(stage, folder: Path, output: str, camera: str = "a") -> Health:
 def test_keypoints(folder, monkeypatch, camera, told):
     asked = []
 
-    def provider(node, models, threads):
+    def provider(node, files, threads, sequence, camera):
         def estimate(frames, choice):
-            asked.append((len(frames), choice, models.name, threads))
+            asked.append((len(frames), choice, files["models"].name, threads, sequence.name, camera))
             swapped = np.zeros((COUNT, 3), bool)
             swapped[3] = True
             return _record(), TrackReport(2, 0.1, 1, swapped, ("look here",))
@@ -69,7 +69,7 @@ def test_keypoints(folder, monkeypatch, camera, told):
 
     monkeypatch.setattr(keypoints, "keypoint_provider", provider)
     health = _run(keypoints, folder, "keypoints", camera)
-    assert asked == [(COUNT, told, "models", 1)]
+    assert asked == [(COUNT, told, "models", 1, "clip", camera)]
     values = {name: entry["value"] for name, entry in health.numbers.items()}
     assert values["present"] == pytest.approx(0.8)
     assert values["score"] == pytest.approx(0.9)
