@@ -157,7 +157,7 @@ class MaskFiles:
             return
         files = self._source.files()
         for position in self._positions:
-            yield str(files[position]), _read(files[position])
+            yield str(files[position]), read_picture(files[position])
 
     def _plane(self, picture: np.ndarray, name: str) -> np.ndarray:
         """(h, w) float32 in [0, 1] of a picture (h, w) or (h, w, C), 8 or 16 bit or float."""
@@ -207,7 +207,7 @@ class MaskFiles:
         return resized(self._lens[1](plane), self._height, self._width)
 
 
-def _read(file: Path) -> np.ndarray:
+def read_picture(file: Path) -> np.ndarray:
     """(h, w) or (h, w, C) as stored, of its own depth; colours in any order."""
     with _decoding(file):
         picture = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)

@@ -80,7 +80,7 @@ class NetworkMasks:
         _check_description(settings)
         self._settings = settings
         self._network = BroughtNetwork(brought_file(brought, "network", "masks"), threads, settings.device)
-        self._picture, self._output = _matched(settings, self._network)
+        self._picture, self._output = matched(settings, self._network)
         self._states = {name: _start(self._network.inputs[name]) for name in settings.states}
 
     def __call__(self, image: np.ndarray, roi: Roi, body: np.ndarray) -> np.ndarray:
@@ -167,7 +167,7 @@ def _check_description(settings: NetworkSettings) -> None:
         )
 
 
-def _matched(settings: NetworkSettings, network: BroughtNetwork) -> tuple[str, str]:
+def matched(settings: NetworkSettings, network: BroughtNetwork) -> tuple[str, str]:
     """Names of the input for the picture and of the output for the person.
 
     Raises:

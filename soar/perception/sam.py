@@ -233,7 +233,7 @@ def _scheme(encoder: BroughtNetwork, decoder: BroughtNetwork) -> Scheme:
         ModelFileError: they are none, or not of one another.
     """
     for scheme in SCHEMES:
-        if _is_decoder(scheme, decoder) and _is_encoder(scheme, encoder, decoder):
+        if is_decoder(scheme, decoder) and is_encoder(scheme, encoder, decoder):
             return scheme
     raise ModelFileError(
         f"{encoder.path} and {decoder.path} are no encoder and decoder that belong together",
@@ -247,14 +247,16 @@ def _scheme(encoder: BroughtNetwork, decoder: BroughtNetwork) -> Scheme:
     )
 
 
-def _is_decoder(scheme: Scheme, decoder: BroughtNetwork) -> bool:
+def is_decoder(scheme: Scheme, decoder: BroughtNetwork) -> bool:
+    """Whether a network takes and gives what a decoder of this scheme does, by name and number of axes."""
     tensors = decoder.inputs | decoder.outputs
     return decoder.inputs.keys() - {scheme.size} == scheme.inputs and all(
         name in tensors and len(tensors[name]) in (0, rank) for name, rank in _RANKS.items()
     )
 
 
-def _is_encoder(scheme: Scheme, encoder: BroughtNetwork, decoder: BroughtNetwork) -> bool:
+def is_encoder(scheme: Scheme, encoder: BroughtNetwork, decoder: BroughtNetwork) -> bool:
+    """Whether a network takes a picture as this scheme does, and gives what its decoder takes."""
     given, taken = _given(scheme, encoder), [decoder.inputs[name] for name in scheme.features]
     return (
         [_takes_picture(scheme, axes) for axes in encoder.inputs.values()] == [True]

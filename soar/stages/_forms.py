@@ -88,7 +88,7 @@ def _described(path: Path) -> Form:
         node = OmegaConf.to_container(OmegaConf.merge(*map(OmegaConf.load, (path.with_name("network.yaml"), path))))
         described = settings(matting.NetworkSettings, {key: node[key] for key in node if key != "defaults"}, "masks")
         found = _Unopened(file)
-        _, output = matting._matched(described, found)
+        _, output = matting.matched(described, found)
         axes = found.outputs[output]
         # The stage takes any number of channels; known networks have those that are described and no more.
         channels = max(described.channels) + 1
@@ -119,13 +119,13 @@ def _sam(scheme: sam.Scheme) -> list[Form]:
 
     def encoder(path: Path) -> str:
         network, taken = _Unopened(path), {name: _FEATURES[name] for name in scheme.features}
-        if not sam._is_encoder(scheme, network, SimpleNamespace(inputs=taken)):
+        if not sam.is_encoder(scheme, network, SimpleNamespace(inputs=taken)):
             raise network.misfit(f"a picture; gives {', '.join(f'{name} {axes}' for name, axes in taken.items())}")
         return ""
 
     def decoder(path: Path) -> str:
         network = _Unopened(path)
-        if not sam._is_decoder(scheme, network):
+        if not sam.is_decoder(scheme, network):
             raise network.misfit(f"{', '.join(sorted(scheme.inputs))}, {scheme.size}; gives masks, iou_predictions")
         return ""
 
@@ -141,7 +141,7 @@ def _sam(scheme: sam.Scheme) -> list[Form]:
 def _masks(path: Path) -> str:
     """A folder of masks: numbered pictures that are grey, or have an alpha channel."""
     pictures = ImageFolder(path)
-    first = mask_files._read(pictures.files()[0])
+    first = mask_files.read_picture(pictures.files()[0])
     channels = 1 if first.ndim == 2 else first.shape[2]
     if channels == 3 and np.ptp(first.astype(int), axis=-1).max() > mask_files._NEUTRAL:
         raise InputError(f"{path} holds pictures with colours", expected="masks: grey, or with an alpha channel")
