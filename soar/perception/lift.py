@@ -160,11 +160,10 @@ def _check(known: np.ndarray, least: float) -> None:
 
 def _alike(pose: Pose, body: np.ndarray, region: Roi, options: LiftSettings) -> tuple[np.ndarray, np.ndarray]:
     """Image (33, 2) and metric (33, 3) landmarks with the keypoints' sides; metres are zero of somebody else."""
-    points = landmarks(body[:, :2])
-    seen = OWN & (landmarks(body[:, 2:])[:, 0] > 0)
-    own = np.where(seen[:, None], points, pose.points)
-    sets = swaps.exchanged(own, pose.points)[None]
+    points, seen = landmarks(body[:, :2]), landmarks(body[:, 2:])[:, 0] > 0
+    sets = swaps.exchanged(np.where(seen[:, None], points, pose.points), pose.points)[None]
     theirs, metres = swaps.relabelled(pose.points[None], sets)[0], swaps.relabelled(pose.world[None], sets)[0]
+    seen &= OWN
     apart = np.median(np.linalg.norm(points - theirs, axis=-1)[seen]) if seen.any() else np.inf
     known = pose.presence >= options.min_presence and apart <= options.same_person * region.side
     return theirs, metres if known else np.zeros_like(metres)
@@ -175,8 +174,7 @@ def _consistent(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Keypoints (F, 137, 3) with one set of sides throughout, what was exchanged, and the passes' distance (F, 25)."""
     body = passes[:, :, : len(BODY)]
-    seen = OWN[:, None] & (landmarks(body[..., 2:]) > 0)
-    both = np.where(seen, landmarks(body[..., :2]), guides)
+    both = np.where(landmarks(body[..., 2:]) > 0, landmarks(body[..., :2]), guides)
     first, second = both[0], both[-1]
     source, sets = swaps.resolve(np.stack([first, second]), np.stack([depth, depth]), settings)
     at = np.arange(len(source))

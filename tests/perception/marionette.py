@@ -54,12 +54,18 @@ def truth(t: int, middle: tuple[float, float] = (250.0, 240.0)) -> np.ndarray:
 
 
 def frame(t: int, dots: np.ndarray) -> np.ndarray:
-    """(H, W, 3) uint8 RGB: the dots (133, 3) before grey; the number of the frame in the last pixel."""
+    """(H, W, 3) uint8 RGB: the dots (133, 3) before grey; the number of the frame as a shade at the bottom."""
     image = np.full((HEIGHT, WIDTH, 3), 128, np.uint8)
     for (x, y, _), colour in zip(dots, COLOURS.tolist(), strict=True):
         cv2.circle(image, (round(x - 0.5), round(y - 0.5)), RADIUS, colour, -1)
-    image[-1, -1] = t
+    image[-40:, WIDTH // 2 - 40 : WIDTH // 2 + 40] = 20 * t
     return image
+
+
+def number(image: np.ndarray) -> int:
+    """The number a frame was made with."""
+    height, width = image.shape[:2]
+    return round(float(image[-height // 30 : -height // 60, width // 2 - 4 : width // 2 + 4].mean()) / 20)
 
 
 class DotFinder(nn.Module):
@@ -115,7 +121,7 @@ class KnownPose:
     asked: list[int] = dataclasses.field(default_factory=list)
 
     def __call__(self, image: np.ndarray, roi: Roi, mirrored: bool = False) -> Pose:
-        t = int(image[-1, -1, 0])
+        t = number(image)
         self.asked.append(t)
         body = openpose_137(self.people[t])[: len(BODY)]
         points = landmarks(body[:, :2])
